@@ -1,0 +1,163 @@
+"""A browser that is not one: four tasks drawn in Python behind the same port, for tests, never for results."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from giirl.spec import Command, EpisodeSpec, Goal, Observation, Page, StepResult, Verb
+
+LABELS = ("submit", "okay", "ok", "yes", "no", "cancel", "next", "previous")
+FILLER = ("lorem", "ipsum", "dolor", "amet", "elit", "magna", "purus", "tellus", "sapien", "nibh")
+NAMES = ("Ada", "Bertram", "Clotilde", "Dorinda", "Emil", "Fausta", "Gregor", "Hedda", "Ignatz", "Jolanda")
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One element of a fake page; `reward` is what clicking it pays, None when a click changes nothing."""
+
+    tag: str
+    text: str = ""
+    value: str = ""
+    reward: float | None = None
+    tampered: bool = False
+    focused: bool = False
+
+
+@dataclass(slots=True)
+class Tab:
+    """What one tab shows."""
+
+    episode: EpisodeSpec
+    goal: Goal
+    rows: list[Row]
+    wanted: str = ""  # what the field must hold when Submit is clicked
+    boxes: np.ndarray[tuple[int, int], np.dtype[np.float32]] | None = None
+
+
+def _click_test(draw: np.random.Generator) -> tuple[str, list[Row], str]:
+    return "Click the button.", [Row("button", "Click Me!", reward=1.0)], ""
+
+
+def _click_test_2(draw: np.random.Generator) -> tuple[str, list[Row], str]:
+    return "Click button ONE.", [Row("button", "ONE", reward=1.0), Row("button", "TWO", reward=-1.0)], ""
+
+
+def _click_button(draw: np.random.Generator) -> tuple[str, list[Row], str]:
+    rows = [_filler(draw) for _ in range(6)]
+    if all(row.tag != "button" for row in rows):
+        rows[-1] = Row("button", _label(draw))
+    texts = [row.text for row in rows if row.tag == "button"]
+    wanted = texts[draw.integers(len(texts))]
+    rows = [replace(row, reward=1.0 if row.text == wanted else -1.0) if row.tag == "button" else row for row in rows]
+    return f'Click on the "{wanted}" button.', rows, ""
+
+
+def _enter_text(draw: np.random.Generator) -> tuple[str, list[Row], str]:
+    name = NAMES[draw.integers(len(NAMES))]
+    rows = [Row("input_text"), Row("button", "Submit", reward=-1.0)]
+    return f'Enter "{name}" into the text field and press Submit.', rows, name
+
+
+def _filler(draw: np.random.Generator) -> Row:
+    kind = draw.random()
+    if kind < 1 / 3:
+        return Row("div", " ".join(draw.choice(FILLER, 3)))
+    return Row("input_text") if kind < 2 / 3 else Row("button", _label(draw))
+
+
+def _label(draw: np.random.Generator) -> str:
+    label = LABELS[draw.integers(len(LABELS))]
+    return label.capitalize() if draw.random() < 0.5 else label
+
+
+TASKS: dict[str, Callable[[np.random.Generator], tuple[str, list[Row], str]]] = {
+    "click-test": _click_test,
+    "click-test-2": _click_test_2,
+    "click-button": _click_button,
+    "enter-text": _enter_text,
+}
+
+
+class FakeFarm:
+    """Implements `giirl.spec.Browser` without a browser. Same task and seed, same page."""
+
+    def __init__(self, *, tabs: int = 8) -> None:
+        self.tabs = tabs
+        self._open: dict[int, Tab] = {}
+
+    def reset(self, episodes: Mapping[int, EpisodeSpec]) -> dict[int, Observation]:
+        for tab, episode in episodes.items():
+            self._open[tab] = _open(episode)
+        return {tab: _look(self._open[tab]) for tab in episodes}
+
+    def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]:
+        return {tab: self._step(tab, command) for tab, command in commands.items()}
+
+    def _step(self, tab: int, command: Command) -> StepResult:
+        shown = self._open[tab]
+        reward = _act(shown, command)
+        done = reward is not None
+        if done or command.last:
+            if command.following is None:
+                return StepResult(raw_reward=reward or 0.0, done=done, observation=None)
+            self._open[tab] = _open(command.following)
+        return StepResult(raw_reward=reward or 0.0, done=done, observation=_look(self._open[tab]))
+
+    def close(self) -> None:
+        self._open.clear()
+
+
+def check_task(task: str) -> None:
+    """ValueError when there is no such task here."""
+    if task not in TASKS:
+        raise ValueError(f"the fake browser has no task {task!r}: it has {', '.join(TASKS)}")
+
+
+def _open(episode: EpisodeSpec) -> Tab:
+    check_task(episode.task)
+    draw = np.random.default_rng(episode.seed)
+    utterance, rows, wanted = TASKS[episode.task](draw)
+    boxes = np.stack(
+        [
+            draw.uniform(2, 60, len(rows)),
+            50 + np.arange(len(rows)) * 20 + draw.uniform(0, 8, len(rows)),
+            draw.uniform(40, 100, len(rows)),
+            np.full(len(rows), 18.0),
+        ],
+        axis=1,
+    ).astype(np.float32)
+    return Tab(episode, Goal(utterance), rows, wanted, boxes)
+
+
+def _act(tab: Tab, command: Command) -> float | None:
+    """Do the command; the page's reward when that ends the episode, else None."""
+    if not 0 <= command.ref < len(tab.rows):
+        return None
+    row = tab.rows[command.ref]
+    if command.verb is Verb.CLICK and row.reward is not None:
+        held = {other.value for other in tab.rows if other.tag == "input_text"}
+        return 1.0 if tab.wanted and tab.wanted in held else row.reward
+    typed = command.verb is Verb.TYPE and row.tag == "input_text"
+    tab.rows = [replace(other, focused=False) for other in tab.rows]
+    tab.rows[command.ref] = replace(row, value=command.text if typed else row.value, tampered=True, focused=True)
+    return None
+
+
+def _look(tab: Tab) -> Observation:
+    rows, boxes = tab.rows, tab.boxes
+    assert boxes is not None
+    page = Page(
+        tag=tuple(row.tag for row in rows),
+        text=tuple(row.text for row in rows),
+        value=tuple(row.value for row in rows),
+        classes=("",) * len(rows),
+        ref=np.arange(len(rows), dtype=np.int32),
+        parent=np.full(len(rows), -1, dtype=np.int16),
+        box=boxes,
+        focused=np.array([row.focused for row in rows]),
+        tampered=np.array([row.tampered for row in rows]),
+    )
+    return Observation(episode=tab.episode, page=page, goal=tab.goal)

@@ -1,0 +1,241 @@
+"""Real Chrome behind the Browser port: steps many episodes at once, and outlives whatever breaks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import TracebackType
+
+from browser_farm import pages
+from browser_farm.devtools import BrowserGone
+from browser_farm.miniwob import needs_fresh_document, page_url
+from browser_farm.tabs import Failure, Tabs
+from giirl.spec import Command, EpisodeSpec, Goal, Observation, StepResult
+
+OPEN_ATTEMPTS = 4  # as the tab is, in a mended tab, in another tab, in another Chrome
+
+
+def _tell_nobody(cause: str) -> None:
+    del cause
+
+
+@dataclass(slots=True, kw_only=True)
+class Shown:
+    """What one tab shows."""
+
+    task: str | None = None  # whose document is loaded; None makes the next episode load one
+    episode: EpisodeSpec | None = None  # under way
+    goal: Goal | None = None  # of that episode
+    lost: str = ""  # why the episode broke off, until the next step can say so
+
+
+class ChromeFarm:
+    """A `giirl.spec.Browser` of `tabs` tabs in one Chrome of its own.
+
+    Whatever happens to a page or to Chrome costs the episodes concerned (`StepResult.lost`) and is told to
+    `on_restart`: "page_hung", "tab_crashed", "navigated" or "page_error" once for each tab, "browser_died"
+    once for each Chrome. A call returns or raises within a few times `call_timeout_s` and `launch_timeout_s`.
+    Only a Chrome that cannot be started, or a page that never opens, is a RuntimeError.
+    """
+
+    def __init__(
+        self,
+        *,
+        tabs: int = 8,
+        call_timeout_s: float = 10.0,
+        launch_timeout_s: float = 60.0,
+        headless: bool = True,
+        no_sandbox: bool | None = None,  # None: only as root, where Chrome refuses to run otherwise
+        on_restart: Callable[[str], None] = _tell_nobody,
+    ) -> None:
+        if tabs < 1:
+            raise ValueError(f"ChromeFarm.tabs is {tabs}: wanted at least 1")
+        for name, value in (("call_timeout_s", call_timeout_s), ("launch_timeout_s", launch_timeout_s)):
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"ChromeFarm.{name} is {value}: wanted a number of seconds above 0")
+        self.tabs = tabs
+        self._on_restart = on_restart
+        self._shown = [Shown() for _ in range(tabs)]
+        self._closed = False
+        self._tabs = Tabs(
+            tabs,
+            script=pages.script(),
+            call_timeout_s=call_timeout_s,
+            launch_timeout_s=launch_timeout_s,
+            headless=headless,
+            no_sandbox=no_sandbox,
+        )
+        try:
+            self._tabs.launch()
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> ChromeFarm:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def chrome_directory(self) -> str:
+        """Where this farm's Chrome keeps its profile: the mark by which its processes are known."""
+        return str(self._tabs.chrome.directory)
+
+    def reset(self, episodes: Mapping[int, EpisodeSpec]) -> dict[int, Observation]:
+        self._check(episodes)
+        for episode in episodes.values():
+            page_url(episode.task)
+        return self._open(dict(episodes))
+
+    def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]:
+        self._check(commands)
+        calls: dict[int, str] = {}
+        for tab, command in commands.items():
+            shown = self._shown[tab]
+            if shown.episode is None:
+                raise ValueError(f"tab {tab} shows no episode: reset it before it steps")
+            if command.following is not None:
+                page_url(command.following.task)
+            if not shown.lost:
+                calls[tab] = pages.step_call(command, shown.episode.task)
+        answers = self._ask(calls)
+        results: dict[int, StepResult] = {}
+        opening: dict[int, EpisodeSpec] = {}
+        for tab, command in commands.items():
+            results[tab] = self._advance(tab, command, answers.get(tab))
+            if results[tab].observation is None and command.following is not None:
+                opening[tab] = command.following
+        for tab, observation in self._open(opening).items():
+            result = results[tab]
+            results[tab] = StepResult(
+                raw_reward=result.raw_reward, done=result.done, observation=observation, lost=result.lost
+            )
+        return results
+
+    def close(self) -> None:
+        self._closed = True
+        self._tabs.close()
+
+    def _check(self, wanted: Mapping[int, object]) -> None:
+        if self._closed:
+            raise RuntimeError("this ChromeFarm is closed")
+        for tab in wanted:
+            if not 0 <= tab < self.tabs:
+                raise ValueError(f"there is no tab {tab}: wanted 0 to {self.tabs - 1}")
+
+    def _ask(self, calls: Mapping[int, str]) -> dict[int, pages.Answer]:
+        """Answers of the pages; a tab without one has been marked lost and mended."""
+        answers: dict[int, pages.Answer] = {}
+        try:
+            for tab, outcome in self._evaluate(calls).items():
+                answer = _read(outcome)
+                if isinstance(answer, Failure):
+                    self._shown[tab].lost = answer.cause
+                    self._mend(tab, answer, attempt=0)
+                else:
+                    answers[tab] = answer
+        except BrowserGone:
+            self._relaunch()
+            return {}
+        return answers
+
+    def _evaluate(self, calls: Mapping[int, str]) -> dict[int, str | Failure]:
+        outcomes = self._tabs.evaluate(calls) if calls else {}
+        later = {tab: pages.LATER for tab, outcome in outcomes.items() if outcome == pages.WAIT}
+        return {**outcomes, **self._tabs.evaluate(later, promised=True)} if later else outcomes
+
+    def _advance(self, tab: int, command: Command, answer: pages.Answer | None) -> StepResult:
+        """Note what the tab shows now; the result lacks an observation where the farm has to open one."""
+        shown = self._shown[tab]
+        if shown.lost or answer is None:
+            result = StepResult(raw_reward=0.0, done=False, observation=None, lost=shown.lost)
+            shown.episode, shown.goal, shown.lost = None, None, ""
+            return result
+        if answer.done or command.last:
+            shown.episode, shown.goal = (command.following if answer.page is not None else None), answer.goal
+        observation = None
+        if answer.page is not None and shown.episode is not None and shown.goal is not None:
+            observation = Observation(episode=shown.episode, page=answer.page, goal=shown.goal)
+        return StepResult(raw_reward=answer.raw_reward, done=answer.done, observation=observation)
+
+    def _open(self, wanted: dict[int, EpisodeSpec]) -> dict[int, Observation]:
+        """Open an episode in each tab, mending what breaks on the way."""
+        opened: dict[int, Observation] = {}
+        last = Failure(cause="")
+        for tab in wanted:
+            self._shown[tab].episode, self._shown[tab].lost = None, ""
+        for attempt in range(OPEN_ATTEMPTS):
+            missing = {tab: episode for tab, episode in wanted.items() if tab not in opened}
+            if not missing:
+                break
+            try:
+                for tab, failure in self._try_open(missing, opened).items():
+                    last = failure
+                    self._mend(tab, failure, attempt=attempt)
+            except BrowserGone as error:
+                last = Failure(cause="browser_died", words=str(error))
+                self._relaunch()
+                opened.clear()
+                for tab in wanted:
+                    self._shown[tab].episode, self._shown[tab].lost = None, ""
+        for tab, episode in wanted.items():
+            if tab not in opened:
+                raise RuntimeError(
+                    f"task {episode.task} with seed {episode.seed} does not open in tab {tab} "
+                    f"after {OPEN_ATTEMPTS} attempts: {last.cause} {last.words}".rstrip()
+                )
+        return opened
+
+    def _try_open(self, missing: Mapping[int, EpisodeSpec], opened: dict[int, Observation]) -> dict[int, Failure]:
+        urls = {
+            tab: page_url(episode.task)
+            for tab, episode in missing.items()
+            if self._shown[tab].task != episode.task or needs_fresh_document(episode.task)
+        }
+        failures = self._tabs.navigate(urls) if urls else {}
+        calls = {tab: pages.start_call(episode) for tab, episode in missing.items() if tab not in failures}
+        for tab, outcome in self._evaluate(calls).items():
+            answer = _read(outcome)
+            if isinstance(answer, Failure):
+                failures[tab] = answer
+            elif answer.page is None or answer.goal is None:
+                failures[tab] = Failure(cause="page_error", words="the page answered without a page")
+            else:
+                shown = self._shown[tab]
+                shown.task, shown.episode, shown.goal = missing[tab].task, missing[tab], answer.goal
+                opened[tab] = Observation(episode=missing[tab], page=answer.page, goal=answer.goal)
+        return failures
+
+    def _mend(self, tab: int, failure: Failure, *, attempt: int) -> None:
+        """Leave the tab so that loading a document in it can succeed; each attempt reaches for more."""
+        self._on_restart(failure.cause)
+        self._shown[tab].task = None
+        if failure.cause == "page_hung":
+            self._tabs.interrupt(tab)
+        if attempt == 1:
+            self._tabs.replace(tab)
+        elif attempt == 2 and failure.cause != "page_error":  # a new Chrome does not mend a page's own mistake
+            raise BrowserGone(f"tab {tab} does not come back: {failure.cause} {failure.words}".rstrip())
+
+    def _relaunch(self) -> None:
+        self._on_restart("browser_died")
+        for shown in self._shown:
+            shown.task = None
+            if shown.episode is not None:
+                shown.lost = "browser_died"
+        self._tabs.launch()
+
+
+def _read(outcome: str | Failure) -> pages.Answer | Failure:
+    if isinstance(outcome, Failure):
+        return outcome
+    if outcome == pages.GONE:
+        return Failure(cause="navigated")
+    try:
+        return pages.decode(outcome)
+    except (ValueError, TypeError, OverflowError) as error:
+        return Failure(cause="page_error", words=str(error))

@@ -1,0 +1,207 @@
+"""The `giirl` command: reads what the user typed, says what went wrong in one line, and leaves the work to others."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from pathlib import Path
+from types import FrameType
+from typing import Any, Never
+
+import click
+from rich.table import Table
+
+from giirl.cli_demos import demos, writable
+from giirl.config import Config, load_config
+from giirl.doctor import checks
+from giirl.progress import Display
+
+RUN = click.argument("run", type=click.Path(path_type=Path))
+CONFIG = click.argument("config", required=False)
+OVERRIDES = click.argument("overrides", nargs=-1)
+JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write the result here.")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="giirl")
+def giirl() -> None:
+    """Learn what an English instruction means as a reward, and train agents with it on web pages."""
+
+
+@giirl.command()
+@click.option("--demos", type=click.Path(path_type=Path), help="Also look at this folder of recordings.")
+def doctor(demos: Path | None) -> None:
+    """What is installed, what is missing, how to get it."""
+    table = Table("", "what", "found", "how to mend it")
+    found = checks(demos)
+    for check in found:
+        mark = "ok" if check.ok else ("MISSING" if check.needed else "low")
+        table.add_row(mark, check.name, check.found, "" if check.ok else check.mend)
+    Display().table(table)
+    missing = [check.name for check in found if check.needed and not check.ok]
+    if missing:
+        raise ValueError(f"missing: {', '.join(missing)}; the table says how to get them")
+
+
+@giirl.command()
+@CONFIG
+@OVERRIDES
+@click.option("--runtime", type=click.Choice(["serial", "local", "ray"]), help="Where actors run; local by default.")
+@click.option("--resume", type=click.Path(path_type=Path), help="Go on with this run from its last checkpoint.")
+@JSON
+def train(
+    config: str | None, overrides: tuple[str, ...], runtime: str | None, resume: Path | None, json_file: Path | None
+) -> None:
+    """Train, then evaluate: giirl train [CONFIG] [key=value ...].
+
+    CONFIG is a TOML file; without one the defaults hold. Any setting can be given as key=value, for example
+    seed=1 tasks='["click-button"]' policy.entropy=0.2 run=runs/mine.
+    """
+    from giirl.run import Stopped, train
+    from giirl.run_evaluate import result_table
+    from giirl.run_folder import RunFolder
+    from learner.checkpoint import latest_checkpoint
+
+    display = Display()
+    writable(json_file)
+    path, changes = _split(config, overrides, runtime)
+    if resume is not None:
+        if path is not None or changes:
+            raise ValueError("--resume goes on with the run's own config: it takes no CONFIG and no key=value")
+        folder, settings = RunFolder.open(resume)
+        checkpoint = latest_checkpoint(folder.checkpoints)
+        display.say(f"resuming {folder.path} from {checkpoint.name}")
+    else:
+        settings, checkpoint = load_config(path, changes), None
+        check_tasks(settings)
+        folder = RunFolder.create(settings, path.stem if path else "giirl")
+        display.say(f"run folder {folder.path}, its config in {folder.config_file.name}")
+    try:
+        result = train(settings, folder, checkpoint, display)
+    except Stopped:
+        display.say(f"stopped and saved; to go on: giirl train --resume {folder.path}")
+        sys.exit(130)
+    for target in (folder.result, *_some(json_file)):
+        folder.write_json(target, result)
+    display.table(result_table(result))
+    display.say(f"{result['env_steps']} environment steps, {result['seconds']:.0f} s; results in {folder.path}")
+
+
+@giirl.command()
+@RUN
+@OVERRIDES
+@JSON
+def evaluate(run: Path, overrides: tuple[str, ...], json_file: Path | None) -> None:
+    """Greedy success of a run's policy on fresh pages, with the random floor."""
+    import time
+
+    from giirl.metrics import Metrics
+    from giirl.run_evaluate import evaluate, result_table
+    from giirl.run_folder import RunFolder
+    from learner.checkpoint import latest_checkpoint
+
+    writable(json_file)
+    folder, _ = RunFolder.open(run)
+    config = load_config(folder.config_file, overrides)
+    check_tasks(config)
+    checkpoint = latest_checkpoint(folder.checkpoints)
+    since_s = time.monotonic()
+    tasks = evaluate(config, folder.weights(checkpoint, "policy"), Metrics(), Display())
+    points = folder.points()
+    result = {
+        "tasks": tasks,
+        "env_steps": points[-1]["env_steps"] if points else 0,
+        "seconds": round(time.monotonic() - since_s, 1),
+        "algorithm": config.algorithm,
+        "seed": config.seed,
+    }
+    for path in _some(json_file):
+        folder.write_json(path, result)
+    Display().table(result_table(result))
+
+
+@giirl.group()
+def reward() -> None:
+    """The learned reward on its own."""
+
+
+@reward.command()
+@RUN
+@click.option("--task", default="click-button", show_default=True, help="A task whose goal quotes a button.")
+@click.option("--pages", default=500, show_default=True, type=click.IntRange(1), help="Fresh pages.")
+@JSON
+def toggle(run: Path, task: str, pages: int, json_file: Path | None) -> None:
+    """How often the reward ranks the goal's button first, and after the goal names another, that one."""
+    from giirl.metrics import Metrics
+    from giirl.run_folder import RunFolder
+    from giirl.run_toggle import toggle
+    from learner.checkpoint import latest_checkpoint
+
+    writable(json_file)
+    folder, _ = RunFolder.open(run)
+    config = load_config(folder.config_file, [f'tasks=["{task}"]'])
+    check_tasks(config)
+    weights = folder.weights(latest_checkpoint(folder.checkpoints), "reward")
+    result = toggle(config, weights, task, pages, Metrics(), Display())
+    for path in _some(json_file):
+        folder.write_json(path, result)
+    Display().say(
+        f"{task}, {pages} fresh pages: own goal first {100 * result['own_goal_top1']:.1f} %, "
+        f"after swapping the goal {100 * result['swapped_goal_top1']:.1f} %"
+    )
+
+
+giirl.add_command(demos)
+
+
+def check_tasks(config: Config) -> None:
+    """Every task of the config exists; ValueError naming the nearest otherwise."""
+    from browser_farm import fake, miniwob
+
+    for task in config.tasks:
+        if config.browser == "fake":
+            fake.check_task(task)
+        else:
+            miniwob.page_url(task)
+
+
+def _split(config: str | None, overrides: tuple[str, ...], runtime: str | None) -> tuple[Path | None, list[str]]:
+    """CONFIG may be left out: then the first word is an override already."""
+    changes = list(overrides)
+    path = None
+    if config is not None and "=" in config:
+        changes.insert(0, config)
+    elif config is not None:
+        path = Path(config)
+    if runtime is not None:
+        changes.append(f"runtime={runtime}")
+    return path, changes
+
+
+def _some(path: Path | None) -> list[Path]:
+    return [] if path is None else [path]
+
+
+def main() -> Never:
+    """Run the command; whatever a person can mend is one line and a status that is not 0."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, interrupt)
+    try:
+        giirl(standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except (KeyboardInterrupt, click.Abort):
+        _say("interrupted")
+        sys.exit(130)
+    except (ValueError, RuntimeError, OSError) as error:
+        _say(" ".join(str(error).split()) or type(error).__name__)
+        sys.exit(1)
+    sys.exit(0)
+
+
+def _say(text: Any) -> None:
+    click.echo(f"giirl: {text}", err=True)

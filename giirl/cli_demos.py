@@ -1,0 +1,106 @@
+"""`giirl demos`: demonstrations made, imported and looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+import numpy as np
+from rich.table import Table
+
+from giirl.config import DEFAULT_TASKS, load_config
+from giirl.progress import Display
+from giirl.spec import Episode
+from giirl.wire import read_episodes, write_episodes
+
+OUT = click.option("--out", required=True, type=click.Path(path_type=Path), help="The file to write.")
+TASKS = click.option("--task", "tasks", multiple=True, help="A task; may be given again. The thesis's four if not.")
+
+
+@click.group()
+def demos() -> None:
+    """Demonstrations: from scripted experts or from people."""
+
+
+@demos.command()
+@OUT
+@TASKS
+@click.option("--per-task", default=100, show_default=True, type=click.IntRange(1), help="Episodes a task.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Other seeds, other pages.")
+@click.option("--browser", default="chrome", type=click.Choice(["chrome", "fake"]), help="fake is for tests.")
+def make(out: Path, tasks: tuple[str, ...], per_task: int, seed: int, browser: str) -> None:
+    """Let the scripted experts play real pages."""
+    from giirl.metrics import Metrics
+    from giirl.run_demos import make
+
+    writable(out)
+    names = list(tasks or DEFAULT_TASKS)
+    changes = [f"tasks={names!r}", f"demos.per_task={per_task}", f"seed={seed}", f"browser={browser}"]
+    _save(out, make(load_config(None, changes), Metrics(), Display()), wanted=per_task)
+
+
+@demos.command(name="import")
+@click.argument("folder", type=click.Path(path_type=Path))
+@OUT
+@TASKS
+@click.option("--per-task", type=click.IntRange(1), help="At most so many clean ones a task.")
+@click.option("--collection", "collections", multiple=True, help="Only this folder of FOLDER; may be given again.")
+def import_(
+    folder: Path, out: Path, tasks: tuple[str, ...], per_task: int | None, collections: tuple[str, ...]
+) -> None:
+    """Turn public human recordings (COLLECTION/TASK/*.json.gz) into demonstrations; failures stay, marked."""
+    from browser_farm.recordings import import_recordings
+
+    writable(out)
+    display = Display()
+    names = tasks or DEFAULT_TASKS
+    display.say(f"reading recordings of {', '.join(names)} in {folder}")
+    episodes, report = import_recordings(folder, tasks=names, limit=per_task, collections=collections or None)
+    for line in report.lines():
+        click.echo(line)
+    _save(out, episodes, wanted=None)
+
+
+@demos.command()
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+def stats(files: tuple[Path, ...]) -> None:
+    """What demonstration files hold."""
+    for file in files:
+        Display().table(stats_table(str(file), read_episodes(file)))
+
+
+def stats_table(title: str, episodes: Sequence[Episode]) -> Table:
+    """Per task: episodes, successes, goals, steps."""
+    table = Table(title=title)
+    for name in ("task", "episodes", "succeeded", "goals", "median steps", "median elements"):
+        table.add_column(name, justify="left" if name == "task" else "right")
+    for task in sorted({episode.trajectory.task for episode in episodes}):
+        mine = [episode for episode in episodes if episode.trajectory.task == task]
+        elements = [len(page) for episode in mine for page in episode.trajectory.pages]
+        table.add_row(
+            task,
+            str(len(mine)),
+            str(sum(episode.outcome.success for episode in mine)),
+            str(len({episode.trajectory.goal.utterance for episode in mine})),
+            f"{np.median([len(episode.trajectory) for episode in mine]):.0f}",
+            f"{np.median(elements):.0f}",
+        )
+    return table
+
+
+def writable(path: Path | None) -> None:
+    """ValueError where a result could not be written; better now than after an hour."""
+    if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
+        raise ValueError(f"cannot write {path}: wanted a file in a folder that exists")
+
+
+def _save(out: Path, episodes: list[Episode], wanted: int | None) -> None:
+    if not episodes:
+        raise ValueError("there is no demonstration to write")
+    write_episodes(out, episodes)
+    Display().table(stats_table(str(out), episodes))
+    for task in sorted({episode.trajectory.task for episode in episodes}):
+        won = sum(e.outcome.success for e in episodes if e.trajectory.task == task)
+        if wanted is not None and won < wanted:
+            raise ValueError(f"the expert of {task} succeeded {won} times of {wanted}; {out} holds what did")

@@ -1,0 +1,236 @@
+"""One frozen tree of settings: defaults beside their types, read from TOML, overridden by key=value."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import json
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+STRICT = ConfigDict(extra="forbid")
+
+Positive = Annotated[int, Field(ge=1)]
+Seconds = Annotated[float, Field(gt=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Weight = Annotated[float, Field(ge=0)]
+
+
+@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
+class NetConfig:
+    """The shape that policy and reward share."""
+
+    width: Annotated[int, Field(ge=4, multiple_of=4)] = 64
+    vectors: Literal["glove", "hashed"] = "glove"
+
+
+@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
+class DemosConfig:
+    """Where demonstrations come from."""
+
+    source: Literal["scripted", "file", "recordings"] = "scripted"
+    path: str = ""  # a demonstration file, or the folder of public human recordings
+    per_task: Positive = 100  # at most so many
+    collections: tuple[str, ...] = ()  # folders of recordings to read, all when empty
+
+
+@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
+class ActorConfig:
+    """Who plays."""
+
+    count: Positive = 1
+    minimum: Positive = 1  # healthy actors below which the run gives up
+    tabs: Positive = 8  # episodes an actor plays at once, all in one Chrome
+    call_timeout_s: Seconds = 10.0  # deadline of one browser call
+    launch_timeout_s: Seconds = 60.0
+    score_timeout_s: Seconds = 5.0  # deadline of one scoring request
+    silence_s: Seconds = 60.0  # an actor not heard for so long is replaced
+
+
+@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
+class StreamConfig:
+    """How far ahead actors may run, and how old a trajectory may be."""
+
+    credits: Positive = 32  # trajectories an actor may have under way
+    policy_lag: Annotated[int, Field(ge=0)] = 8  # versions; older ones are dropped and counted
+    reward_lag: Annotated[int, Field(ge=0)] = 1  # versions; older rewards are computed again
+    take_timeout_s: Seconds = 120.0  # the run gives up when the actors send nothing for so long
+
+
+@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
+class DiscriminatorConfig:
+    """Binary logistic regression of expert from policy (eq. 3.2), and what keeps it honest.
+
+    The weights say how much each source of negatives counts; only their proportions matter. All but `rollouts`
+    at zero is Algorithm 1 as the thesis has it.
+    """
+
+    reward: Literal["logit", "d", "log_d"] = "logit"
+    clip: Annotated[float, Field(gt=0)] = 5.0  # bound on the logit, nats
+    learning_rate: Annotated[float, Field(gt=0)] = 1e-3
+    updates: Positive = 2  # per iteration
+    batch: Positive = 64  # expert steps per update, and as many of every kind of negative
+    rollouts: Weight = 0.25  # steps of the newest rollouts
+    replay: Weight = 0.25  # steps of older rollouts
+    replay_size: Positive = 4096  # steps kept, a uniform sample of all so far
+    demo_states: Weight = 0.5  # the policy's own actions on demonstration states
+    wrong_goal: Weight = 0.25  # expert steps under another goal of the same task
+    rename: Share = 0.5  # chance that a sample's words are consistently replaced
+    jitter: Weight = 0.1  # shift of such a sample's positions, in pages
+    gradient_penalty: Weight = 0.0  # zero-centred, on the encoded page
+    dropout: Share = 0.0
+    weight_decay: Weight = 0.0
+
+
+@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
+class PolicyConfig:
+    """Entropy-regularised, off-policy corrected actor-critic (eq. 3.1; V-trace, Espeholt et al. 2018)."""
+
+    learning_rate: Annotated[float, Field(gt=0)] = 1e-3
+    updates: Positive = 1  # per iteration
+    gamma: Share = 0.9
+    entropy: Annotated[float, Field(gt=0)] = 0.15  # alpha of eq. 3.1, nats of reward per nat of entropy
+    taken: Weight = 1.0  # weight of the V-trace gradient on the actions taken
+    asked: Annotated[int, Field(ge=0, multiple_of=2)] = 32  # actions on each page that the reward is asked about
+    value: Weight = 0.5
+    rho_clip: Annotated[float, Field(gt=0)] = 1.0
+    max_norm: Annotated[float, Field(gt=0)] = 1.0  # gradient norm
+    cloning_start: Annotated[int, Field(ge=0)] = 0  # updates of behavioural cloning before the first rollout
+
+
+@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
+class CloningConfig:
+    """Behavioural cloning on the same nets."""
+
+    learning_rate: Annotated[float, Field(gt=0)] = 1e-3
+    batch: Positive = 64
+    rename: Share = 0.5
+    jitter: Weight = 0.1
+
+
+@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
+class EvaluateConfig:
+    """How the result is measured."""
+
+    episodes: Positive = 200  # fresh pages a task
+    floor_episodes: Positive = 200  # pages a task for the random policy
+
+
+@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
+class MetricsConfig:
+    """Prometheus endpoints; port 0 takes any free one and writes it to the run folder."""
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=0, le=65535)] = 0
+
+
+DEFAULT_TASKS = ("click-test", "click-test-2", "click-button", "enter-text")
+
+
+@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
+class Config:
+    """Everything a run needs to know."""
+
+    run: str = ""  # folder of the run; runs/NAME-TIME when empty
+    seed: Annotated[int, Field(ge=0, lt=1 << 16)] = 0
+    runtime: Literal["serial", "local", "ray"] = "local"
+    browser: Literal["chrome", "fake"] = "chrome"
+    algorithm: Literal["giirl", "cloning"] = "giirl"
+    tasks: Annotated[tuple[str, ...], Field(min_length=1)] = DEFAULT_TASKS
+    iterations: Positive = 600  # N of Algorithm 1
+    rollout_batch: Positive = 32  # episodes per iteration
+    step_limit: Positive = 10  # actions per episode
+    checkpoint_every: Positive = 50  # iterations
+    keep_checkpoints: Positive = 3
+    net: NetConfig = NetConfig()
+    demos: DemosConfig = DemosConfig()
+    actors: ActorConfig = ActorConfig()
+    stream: StreamConfig = StreamConfig()
+    discriminator: DiscriminatorConfig = DiscriminatorConfig()
+    policy: PolicyConfig = PolicyConfig()
+    cloning: CloningConfig = CloningConfig()
+    evaluate: EvaluateConfig = EvaluateConfig()
+    metrics: MetricsConfig = MetricsConfig()
+
+
+_TREE = TypeAdapter(Config)
+
+
+def load_config(path: Path | None, overrides: Sequence[str] = ()) -> Config:
+    """The tree in `path` (TOML, or the JSON of an earlier run), changed by `key.sub=value` overrides.
+
+    Raises ValueError, one line, for a file that cannot be read, a key that does not exist or a value that is
+    not allowed.
+    """
+    tree = _read(path) if path is not None else {}
+    where = str(path) if path is not None else "the command line"
+    for override in overrides:
+        key, equals, text = override.partition("=")
+        if not equals or not key:
+            raise ValueError(f"{override!r} is no override: wanted key=value, for example seed=1")
+        _set(tree, key, _value(text))
+    return parse_config(tree, where)
+
+
+def parse_config(tree: dict[str, Any], where: str) -> Config:
+    """Validate a tree; `where` names it in errors."""
+    try:
+        return _TREE.validate_python(tree)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+            near = difflib.get_close_matches(key, keys(), n=1, cutoff=0.0)
+            raise ValueError(f"{where}: there is no setting {key!r}; the nearest is {near[0]!r}") from None
+        raise ValueError(f"{where}: {key} = {first['input']!r}: {first['msg']}") from None
+
+
+def dump_config(config: Config) -> str:
+    """The whole tree as JSON, in a form that `load_config` reads back."""
+    return _TREE.dump_json(config, indent=2).decode() + "\n"
+
+
+def keys(section: type[Any] = Config, prefix: str = "") -> list[str]:
+    """Every setting by its dotted name."""
+    found = []
+    for field in dataclasses.fields(section):
+        found.append(prefix + field.name)
+        if dataclasses.is_dataclass(field.default):
+            found += keys(type(field.default), f"{prefix}{field.name}.")
+    return found
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        text = path.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"cannot read the config {path}: {error}") from None
+    try:
+        tree = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+    except ValueError as error:
+        raise ValueError(f"{path} is not valid {path.suffix[1:].upper() or 'TOML'}: {error}") from None
+    if not isinstance(tree, dict):
+        raise ValueError(f"{path} holds {type(tree).__name__}, wanted a table of settings")
+    return tree
+
+
+def _value(text: str) -> Any:
+    """A TOML value, or the text itself where it is none: `run=out/a` needs no quotes."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _set(tree: dict[str, Any], key: str, value: Any) -> None:
+    *path, last = key.split(".")
+    for part in path:
+        tree = tree.setdefault(part, {})
+        if not isinstance(tree, dict):
+            raise ValueError(f"there is no setting {key!r}: {part!r} is a value, not a section")
+    tree[last] = value

@@ -1,0 +1,73 @@
+"""r(s, a | g): the one reward function that the learner trains with and the reward service serves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from giirl.config import Config
+from giirl.features import collate, collate_actions, featurise
+from giirl.language import Vectors, load_vectors
+from giirl.models import Policy, RewardNet
+from giirl.parameters import load_net
+from giirl.spec import Action, Goal, Page, Trajectory, Weights
+
+
+def reward_of(logit: Tensor, form: str, clip: float) -> Tensor:
+    """The reward for a discriminator logit, any shape, in nats (a probability for "d").
+
+    `logit`: log D - log(1 - D) (Algorithm 1 of Luo 2019); `d`: D (its section 3.1); `log_d`: log D (GAIL's).
+    After the last step nothing more is paid, so the end of an episode counts as a state of reward 0: the
+    `logit` of a pair that expert and policy visit alike. `d`, always positive, pays for stalling, and `log_d`,
+    always negative, for ending early; they are for comparison.
+    """
+    logit = logit.clamp(-clip, clip)
+    if form == "logit":
+        return logit
+    if form == "d":
+        return torch.sigmoid(logit)
+    if form == "log_d":
+        return functional.logsigmoid(logit)
+    raise ValueError(f"there is no reward form {form!r}: wanted 'logit', 'd' or 'log_d'")
+
+
+class RewardModel:
+    """A reward net with its form: trajectories in, rewards out."""
+
+    def __init__(self, net: RewardNet, vectors: Vectors, form: str, clip: float) -> None:
+        self.net, self.vectors, self.form, self.clip = net, vectors, form, clip
+
+    @torch.no_grad()
+    def score_pairs(self, pages: Sequence[Page], actions: Sequence[Action], goals: Sequence[Goal]) -> Tensor:
+        """[B] rewards of B (page, action, goal) triples."""
+        rows = [featurise(page, goal, self.vectors) for page, goal in zip(pages, goals, strict=True)]
+        self.net.eval()
+        logits = self.net(collate(rows), collate_actions(actions)).squeeze(1)
+        return reward_of(logits, self.form, self.clip)
+
+    def score(self, trajectories: Sequence[Trajectory]) -> list[NDArray[np.float32]]:
+        """For each trajectory its [T] rewards."""
+        pages = [page for trajectory in trajectories for page in trajectory.pages]
+        actions = [action for trajectory in trajectories for action in trajectory.actions]
+        goals = [trajectory.goal for trajectory in trajectories for _ in trajectory.pages]
+        rewards = self.score_pairs(pages, actions, goals).numpy()
+        return np.split(rewards, np.cumsum([len(trajectory) for trajectory in trajectories])[:-1])
+
+
+def build_reward(config: Config, weights: Weights | None = None) -> RewardModel:
+    """The reward of a run's config, with its weights when there are any."""
+    vectors = load_vectors(config.net.vectors)
+    net = RewardNet(vectors, config.net.width, config.discriminator.dropout)
+    if weights is not None:
+        load_net(net, weights)
+    return RewardModel(net, vectors, config.discriminator.reward, config.discriminator.clip)
+
+
+def build_policy(config: Config) -> Policy:
+    """An untrained policy of a run's config."""
+    return Policy(load_vectors(config.net.vectors), config.net.width)

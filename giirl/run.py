@@ -1,0 +1,226 @@
+"""A run from config to result: demonstrations, Algorithm 1, checkpoints, evaluation."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event
+from types import FrameType
+from typing import Any, Protocol
+
+from giirl.config import Config
+from giirl.metrics import Metrics, write_targets
+from giirl.progress import Display, Job
+from giirl.run_demos import gather
+from giirl.run_evaluate import evaluate
+from giirl.run_folder import RunFolder
+from giirl.run_serial import SerialRuntime
+from giirl.spec import Episode, Trajectory, Weights
+from giirl.statistics import lowest_window
+from learner.checkpoint import save_checkpoint
+from learner.giirl import ALGORITHMS
+from learner.learner import Learner
+
+WINDOW = 100  # training episodes in a row, for the lowest success of a run's last third
+
+
+class Stopped(Exception):
+    """The run was asked to end before it was done; what it had is saved."""
+
+
+class Runtime(Protocol):
+    """Whoever plays: in this thread, in Ray on this machine, or in a cluster."""
+
+    def publish(self, policy: Weights, reward: Weights) -> None: ...
+
+    def take(self, episodes: int) -> list[Episode]: ...
+
+    def addresses(self) -> dict[str, str]: ...
+
+    def save(self, folder: Path) -> None: ...
+
+    def committed(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def train(config: Config, folder: RunFolder, resume: Path | None, display: Display) -> dict[str, Any]:
+    """Run to the end, evaluate, and return the result; Stopped after Ctrl-C or SIGTERM, with a checkpoint saved."""
+    since_s = time.monotonic()
+    metrics, stop = Metrics(), Event()
+    own = metrics.serve(config.metrics.host, config.metrics.port)
+    try:
+        if resume is None:
+            folder.save_demonstrations(gather(config, metrics, display))
+        demonstrations = [episode.trajectory for episode in folder.load_demonstrations()]
+        learner = Learner(config, demonstrations, metrics)
+        if resume is not None:
+            learner.load(resume)
+        else:
+            learner.cloning_start()
+        session = Session(config, folder, learner, metrics, stop, own, display)
+        with stopping(stop):
+            session.learn(resume)
+        policy, _ = learner.weights()
+        tasks = evaluate(config, policy, metrics, display)
+    finally:
+        metrics.close()
+    return {
+        "tasks": tasks,
+        "env_steps": session.env_steps,
+        "seconds": round(time.monotonic() - since_s, 1),
+        "algorithm": config.algorithm,
+        "seed": config.seed,
+        "training_episodes": session.episodes,
+        "demonstrations": {task: sum(d.task == task for d in demonstrations) for task in config.tasks},
+        "lowest_last_third": session.lowest_last_third(),
+        "parameters_sha256": learner.hash(),
+    }
+
+
+class Session:
+    """Algorithm 1 under way: feeds it rollouts, publishes what it learns, reports, saves."""
+
+    def __init__(
+        self,
+        config: Config,
+        folder: RunFolder,
+        learner: Learner,
+        metrics: Metrics,
+        stop: Event,
+        own_address: str,
+        display: Display,
+    ) -> None:
+        self._config, self._folder, self._learner, self._metrics = config, folder, learner, metrics
+        self._stop, self._own_address, self._display = stop, own_address, display
+        self._runtime: Runtime | None = None
+        self._job: Job | None = None
+        self._fresh: list[Episode] = []
+        self._targets: dict[str, str] = {}
+        self._recent = {task: deque[int](maxlen=WINDOW) for task in config.tasks}
+        self.env_steps = 0
+        self.episodes = 0
+
+    def learn(self, resume: Path | None) -> None:
+        """Go from the learner's version to `iterations`."""
+        config, learner = self._config, self._learner
+        self._folder.cut_curve(learner.version)
+        for point in self._folder.points():
+            self.env_steps, self.episodes = point["env_steps"], point["episodes"]
+        if learner.version >= config.iterations:
+            return
+        self._display.say(f"starting the {config.runtime} runtime")
+        self._runtime = open_runtime(config, self._metrics, self._folder.path.name, self._stop, resume)
+        try:
+            self._runtime.publish(*learner.weights())
+            self._tell_targets()
+            with self._display.job("training", config.iterations, learner.version) as self._job:
+                ALGORITHMS[config.algorithm](config, learner, self, self._steps(), self._observe)
+        except Stopped:
+            self._save()
+            raise
+        finally:
+            self._runtime.close()
+
+    def take(self, episodes: int) -> list[Trajectory]:
+        """Rollouts for Algorithm 1. Their outcomes stay here, for the report."""
+        assert self._runtime is not None
+        taken = self._runtime.take(episodes)
+        if not taken:
+            raise Stopped
+        self._fresh = taken
+        return [episode.trajectory for episode in taken]
+
+    def lowest_last_third(self) -> dict[str, float]:
+        """Per task, the lowest success over WINDOW sampled episodes in a row in the last third of training."""
+        points = [p for p in self._folder.points() if p["step"] > 2 * self._config.iterations / 3]
+        return {
+            task: lowest_window([bool(o) for p in points for o in p["outcomes"].get(task, [])], WINDOW)
+            for task in self._config.tasks
+        }
+
+    def _steps(self) -> Iterator[int]:
+        for step in range(self._learner.version, self._config.iterations):
+            _raise_if(self._stop)
+            yield step
+
+    def _observe(self, step: int, stats: dict[str, float]) -> None:
+        """Publish, report and, when it is due, save."""
+        assert self._runtime is not None
+        assert self._job is not None
+        self._learner.version = step + 1
+        self._metrics.policy_version.set(step + 1)
+        self._metrics.reward_version.set(step + 1)
+        self._runtime.publish(*self._learner.weights())
+        self.env_steps += sum(len(episode.trajectory) for episode in self._fresh)
+        self.episodes += len(self._fresh)
+        outcomes: dict[str, list[int]] = {task: [] for task in self._config.tasks}
+        for episode in self._fresh:
+            outcomes[episode.trajectory.task].append(int(episode.outcome.success))
+        counts = {"step": step + 1, "env_steps": self.env_steps, "episodes": self.episodes}
+        self._folder.append_curve({**counts, "outcomes": outcomes, **{k: round(v, 4) for k, v in stats.items()}})
+        self._job.advance(1, self._note(outcomes))
+        self._tell_targets()
+        if (step + 1) % self._config.checkpoint_every == 0 or step + 1 == self._config.iterations:
+            self._save()
+
+    def _note(self, outcomes: dict[str, list[int]]) -> str:
+        for task, some in outcomes.items():
+            self._recent[task].extend(some)
+        return "  ".join(f"{task} {100 * sum(some) / max(len(some), 1):.0f}%" for task, some in self._recent.items())
+
+    def _save(self) -> None:
+        runtime = self._runtime
+        assert runtime is not None
+
+        def write(partial: Path) -> None:
+            self._learner.save(partial)
+            runtime.save(partial)
+
+        save_checkpoint(self._folder.checkpoints, self._learner.version, write, keep=self._config.keep_checkpoints)
+        runtime.committed()
+
+    def _tell_targets(self) -> None:
+        """Write where to scrape when that has changed, and say it once."""
+        assert self._runtime is not None
+        targets = {"learner": self._own_address, **self._runtime.addresses()}
+        if targets != self._targets:
+            write_targets(self._folder.targets, targets)
+            for name in targets.keys() - self._targets.keys():
+                self._display.say(f"metrics of {name}: http://{targets[name]}/metrics")
+            self._targets = targets
+
+
+def open_runtime(config: Config, metrics: Metrics, run: str, stop: Event, resume: Path | None) -> Runtime:
+    """The runtime that the config names. Ray is imported only where it is used."""
+    if config.runtime == "serial":
+        return SerialRuntime(config, metrics, resume)
+    from giirl.run_ray import RayRuntime
+
+    return RayRuntime(config, metrics, run, stop, resume)
+
+
+@contextmanager
+def stopping(stop: Event) -> Iterator[None]:
+    """While this lasts Ctrl-C and SIGTERM ask politely; the second time they interrupt."""
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _raise_if(stop: Event) -> None:
+    if stop.is_set():
+        raise Stopped

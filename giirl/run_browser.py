@@ -1,0 +1,21 @@
+"""The browser that a config names."""
+
+from __future__ import annotations
+
+from browser_farm.fake import FakeFarm
+from browser_farm.farm import ChromeFarm
+from giirl.config import Config
+from giirl.metrics import Metrics
+from giirl.spec import Browser
+
+
+def open_browser(config: Config, metrics: Metrics) -> Browser:
+    """Started and ready, its restarts counted by cause."""
+    if config.browser == "fake":
+        return FakeFarm(tabs=config.actors.tabs)
+    return ChromeFarm(
+        tabs=config.actors.tabs,
+        call_timeout_s=config.actors.call_timeout_s,
+        launch_timeout_s=config.actors.launch_timeout_s,
+        on_restart=lambda cause: metrics.browser_restarts.labels(cause).inc(),
+    )

@@ -1,0 +1,102 @@
+"""How good a policy is: greedy on fresh pages, beside chance on pages of its own."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.table import Table
+
+from actors.choosers import Chooser, NetChooser, RandomChooser
+from actors.rollouts import Schedule, play
+from giirl.config import Config
+from giirl.language import load_vectors
+from giirl.metrics import Metrics
+from giirl.parameters import load_net
+from giirl.progress import Display
+from giirl.reward import build_policy
+from giirl.run_browser import open_browser
+from giirl.spec import Browser, Purpose, Weights
+from giirl.statistics import Score
+
+THESIS = {"click-test": 1.00, "click-test-2": 1.00, "click-button": 0.99, "enter-text": 0.94}  # table 4.1
+
+
+def evaluate(config: Config, policy: Weights, metrics: Metrics, display: Display) -> dict[str, Any]:
+    """Success of the greedy policy and of chance: the `tasks` of a result.
+
+    Pages come from seeds that neither training, demonstrations nor tuning ever use.
+    """
+    net = build_policy(config)
+    load_net(net, policy)
+    greedy = NetChooser(net, load_vectors(config.net.vectors), version=policy.version, greedy=True)
+    browser = open_browser(config, metrics)
+    try:
+        scores = _measure(
+            config, browser, greedy, Purpose.EVALUATE, config.evaluate.episodes, metrics, display, "evaluating"
+        )
+        floor = _measure(
+            config,
+            browser,
+            RandomChooser(),
+            Purpose.FLOOR,
+            config.evaluate.floor_episodes,
+            metrics,
+            display,
+            "random floor",
+        )
+    finally:
+        browser.close()
+    return {task: _row(scores[task], floor[task]) for task in config.tasks}
+
+
+def _row(score: Score, floor: Score) -> dict[str, Any]:
+    low, high = score.interval()
+    return {
+        "episodes": score.episodes,
+        "success": score.success,
+        "low": round(low, 4),
+        "high": round(high, 4),
+        "random": floor.success,
+        "random_episodes": floor.episodes,
+    }
+
+
+def _measure(
+    config: Config,
+    browser: Browser,
+    chooser: Chooser,
+    purpose: Purpose,
+    episodes: int,
+    metrics: Metrics,
+    display: Display,
+    what: str,
+) -> dict[str, Score]:
+    schedule = Schedule(config.tasks, browser.tabs, purpose=purpose, run_seed=config.seed, quota=episodes)
+    played, won = dict.fromkeys(config.tasks, 0), dict.fromkeys(config.tasks, 0)
+    with display.job(what, episodes * len(config.tasks)) as job:
+        for finished in play(browser, chooser, schedule, step_limit=config.step_limit, metrics=metrics):
+            for episode in finished:
+                played[episode.trajectory.task] += 1
+                won[episode.trajectory.task] += episode.outcome.success
+            job.advance(len(finished))
+    return {task: Score(episodes=played[task], successes=won[task]) for task in config.tasks}
+
+
+def result_table(result: dict[str, Any]) -> Table:
+    """Task, floor, success with its interval, the thesis's figure."""
+    table = Table(title=f"greedy success on fresh pages, {result['algorithm']}, seed {result['seed']}")
+    for name, side in (("task", "left"), ("random", "right"), ("success", "right"), ("95 %", "right")):
+        table.add_column(name, justify=side)  # type: ignore[arg-type]
+    table.add_column("episodes", justify="right")
+    table.add_column("thesis", justify="right")
+    for task, row in result["tasks"].items():
+        thesis = f"{100 * THESIS[task]:.0f}" if task in THESIS else "-"
+        table.add_row(
+            task,
+            f"{100 * row['random']:.1f}",
+            f"{100 * row['success']:.1f}",
+            f"{100 * row['low']:.1f} - {100 * row['high']:.1f}",
+            str(row["episodes"]),
+            thesis,
+        )
+    return table

@@ -1,0 +1,79 @@
+"""Everything in one thread and no Ray: same seed, same bytes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+from actors.choosers import NetChooser
+from actors.rollouts import Schedule, play
+from giirl.config import Config
+from giirl.language import load_vectors
+from giirl.metrics import Metrics
+from giirl.parameters import load_net
+from giirl.reward import build_policy, build_reward
+from giirl.run_browser import open_browser
+from giirl.spec import Episode, Purpose, Weights
+
+
+class SerialRuntime:
+    """Plays when asked, scores what it played, waits for nobody."""
+
+    def __init__(self, config: Config, metrics: Metrics, resume: Path | None) -> None:
+        self._config, self._metrics = config, metrics
+        self._browser = open_browser(config, metrics)
+        self._chooser = NetChooser(build_policy(config), load_vectors(config.net.vectors))
+        self._reward = build_reward(config)
+        self._reward_version = 0
+        self._played = 0  # episodes of each task
+        if resume is not None:
+            self._played = json.loads((resume / "runtime.json").read_text())["played"]
+
+    def publish(self, policy: Weights, reward: Weights) -> None:
+        self._chooser.load(policy)
+        load_net(self._reward.net, reward)
+        self._reward_version = reward.version
+
+    def take(self, episodes: int) -> list[Episode]:
+        """At least `episodes`, the same number of every task, all begun and ended in this call."""
+        quota = -(-episodes // len(self._config.tasks))
+        schedule = Schedule(
+            self._config.tasks,
+            self._browser.tabs,
+            purpose=Purpose.TRAIN,
+            run_seed=self._config.seed,
+            first=self._played,
+            quota=quota,
+        )
+        self._played += quota
+        rounds = play(
+            self._browser,
+            self._chooser,
+            schedule,
+            step_limit=self._config.step_limit,
+            metrics=self._metrics,
+        )
+        finished = [episode for some in rounds for episode in some]
+        rewards = self._reward.score([episode.trajectory for episode in finished])
+        return [
+            replace(
+                episode,
+                trajectory=replace(episode.trajectory, rewards=scored, reward_version=self._reward_version),
+            )
+            for episode, scored in zip(finished, rewards, strict=True)
+        ]
+
+    def addresses(self) -> dict[str, str]:
+        """Nobody else to scrape."""
+        return {}
+
+    def save(self, folder: Path) -> None:
+        """Which pages come next."""
+        (folder / "runtime.json").write_text(json.dumps({"played": self._played}))
+
+    def committed(self) -> None:
+        """Nothing is under way between two steps."""
+
+    def close(self) -> None:
+        self._browser.close()

@@ -1,0 +1,69 @@
+"""Does changing only the goal change the reward? The learned reward of every button, before and after a swap."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from giirl.config import Config
+from giirl.metrics import Metrics
+from giirl.progress import Display
+from giirl.reward import RewardModel, build_reward
+from giirl.run_browser import open_browser
+from giirl.spec import Action, EpisodeSpec, Goal, Page, Purpose, Verb, Weights, page_seed
+
+
+def toggle(
+    config: Config, reward: Weights, task: str, pages: int, metrics: Metrics, display: Display
+) -> dict[str, Any]:
+    """How often the reward ranks the goal's own button first, and after naming another, that one.
+
+    Pages are fresh, and have at least two buttons that read differently. The instruction's quoted text names
+    the button; a tie counts as wrong. Buttons that read alike are one.
+    """
+    model = build_reward(config, reward)
+    browser = open_browser(config, metrics)
+    own = swapped = seen = 0
+    try:
+        with display.job("toggling goals", pages) as job:
+            index = 0
+            while seen < pages:
+                batch = {
+                    tab: EpisodeSpec(task=task, seed=page_seed(Purpose.INSPECT, config.seed, index + tab))
+                    for tab in range(browser.tabs)
+                }
+                index += browser.tabs
+                if index > 100 * pages:
+                    raise ValueError(f"{task} shows no two buttons with a quoted goal in {index} pages")
+                for shown in browser.reset(batch).values():
+                    found = _pair(shown.page, shown.goal)
+                    if found is None or seen == pages:
+                        continue
+                    wanted, other = found
+                    swap = Goal(shown.goal.utterance.replace(f'"{wanted}"', f'"{other}"'))
+                    own += _best(model, shown.page, shown.goal) == wanted
+                    swapped += _best(model, shown.page, swap) == other
+                    seen += 1
+                    job.advance()
+    finally:
+        browser.close()
+    return {"own_goal_top1": own / pages, "swapped_goal_top1": swapped / pages, "pages": pages, "task": task}
+
+
+def _pair(page: Page, goal: Goal) -> tuple[str, str] | None:
+    """The button the goal names, and the first other one; None when the page has no such two."""
+    named = goal.utterance.split('"')
+    labels = list(dict.fromkeys(text for tag, text in zip(page.tag, page.text, strict=True) if tag == "button"))
+    if len(named) != 3 or named[1] not in labels or len(labels) < 2:
+        return None
+    return named[1], next(label for label in labels if label != named[1])
+
+
+def _best(model: RewardModel, page: Page, goal: Goal) -> str:
+    """The label of the button whose click earns the most; "" when two that read differently tie."""
+    buttons = [row for row, tag in enumerate(page.tag) if tag == "button"]
+    clicks = [Action(verb=Verb.CLICK, element=row) for row in buttons]
+    rewards = model.score_pairs([page] * len(clicks), clicks, [goal] * len(clicks)).numpy()
+    top = {page.text[buttons[i]] for i in np.flatnonzero(rewards == rewards.max())}
+    return top.pop() if len(top) == 1 else ""

@@ -1,0 +1,215 @@
+"""Sockets: many dealers talk to one router, in frames, with bounds on every queue, message and wait."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import zmq
+from zmq.auth.thread import ThreadAuthenticator
+from zmq.utils.monitor import recv_monitor_message
+
+from giirl.wire import MAX_BYTES
+
+HIGH_WATER = 256  # messages in each direction and connection
+LINGER_MS = 500  # how long a closing socket may still send
+HEARTBEAT_MS = 2_000
+SILENCE_MS = 15_000  # a peer that answers no heartbeat for so long is gone
+RETRY_MS = 100
+RETRY_MAX_MS = 2_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Keys:
+    """A CURVE key pair. One pair is shared by all processes of a run: whoever holds it may talk."""
+
+    public: bytes  # Z85
+    secret: bytes = field(repr=False)  # Z85
+
+    def __post_init__(self) -> None:
+        try:
+            matches = zmq.curve_public(self.secret) == self.public
+        except (ValueError, zmq.ZMQError) as error:
+            raise ValueError(f"a CURVE key is malformed: {error}; wanted 40 characters of Z85") from error
+        if not matches:
+            raise ValueError(f"the CURVE secret does not belong to public key {self.public!r}")
+
+    @classmethod
+    def make(cls) -> Keys:
+        """A fresh pair."""
+        public, secret = zmq.curve_keypair()
+        return cls(public=public, secret=secret)
+
+
+class Router:
+    """The end that listens. Belongs to one thread; only `wake` may be called from others."""
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 0, *, keys: Keys | None = None) -> None:
+        if keys is None and not _is_loopback(host):
+            raise ValueError(f"cannot listen on {host}:{port} without CURVE keys: wanted a loopback address, or keys")
+        if not 0 <= port < 1 << 16:
+            raise ValueError(f"port {port} is out of range: wanted 0 to 65535")
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._gate = _gate(self._context, keys) if keys else None
+        self._socket = _bounded(self._context, zmq.ROUTER)
+        self._socket.router_mandatory = True  # sending to a peer that left is an error, not a silent loss
+        self._socket.router_handover = True  # a peer that comes back takes its place again
+        if keys:
+            self._socket.curve_server = True
+            self._socket.curve_publickey = keys.public
+            self._socket.curve_secretkey = keys.secret
+        try:
+            self._socket.bind(f"tcp://{host}:{port or '*'}")
+        except zmq.ZMQError as error:
+            _end(self._context, self._socket, self._gate)
+            raise ValueError(f"cannot listen on {host}:{port}: {error}; wanted a free port, or 0") from error
+        self.address = self._socket.getsockopt_string(zmq.LAST_ENDPOINT).removeprefix("tcp://")
+        self._waker, self._alarm = socket.socketpair()
+        self._waker.setblocking(False)
+        self._alarm.setblocking(False)
+        self._poller = zmq.Poller()
+        self._poller.register(self._socket, zmq.POLLIN)
+        self._poller.register(self._alarm.fileno(), zmq.POLLIN)
+
+    def poll(self, timeout_s: float) -> bool:
+        """True when a message waits; returns early, and False, after `wake`."""
+        ready = dict(self._poller.poll(_ms(timeout_s)))
+        if self._alarm.fileno() in ready:
+            self._alarm.recv(4096)
+        return self._socket in ready
+
+    def recv(self, timeout_s: float) -> tuple[bytes, list[bytes]] | None:
+        """The next message and who sent it; None when none came in time."""
+        if not self.poll(timeout_s):
+            return None
+        peer, *frames = self._socket.recv_multipart()
+        return peer, frames
+
+    def send(self, peer: bytes, frames: Sequence[bytes]) -> bool:
+        """False when the peer is gone or takes nothing more; never waits."""
+        try:
+            self._socket.send_multipart([peer, *frames], zmq.DONTWAIT)
+        except zmq.ZMQError as error:
+            if error.errno not in (zmq.EAGAIN, zmq.EHOSTUNREACH):
+                raise
+            return False
+        return True
+
+    def wake(self) -> None:
+        """End a `poll` or `recv` of another thread early."""
+        try:
+            self._waker.send(b"\0")
+        except BlockingIOError:
+            return  # it has been woken many times over already
+
+    def close(self) -> None:
+        """Send what can be sent at once, then let go of the port."""
+        _end(self._context, self._socket, self._gate)
+        self._waker.close()
+        self._alarm.close()
+
+
+class Dealer:
+    """The end that connects, and connects again whenever the other end comes back. Belongs to one thread."""
+
+    def __init__(self, address: str, *, identity: bytes, keys: Keys | None = None) -> None:
+        if not 1 <= len(identity) <= 255 or identity.startswith(b"\0"):
+            raise ValueError(f"identity {identity!r:.80} is no name: wanted 1 to 255 bytes, the first not 0")
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._socket = _bounded(self._context, zmq.DEALER)
+        self._socket.identity = identity
+        self._socket.immediate = True  # queue nothing for a peer that is not there: the caller keeps it
+        self._socket.reconnect_ivl = RETRY_MS
+        self._socket.reconnect_ivl_max = RETRY_MAX_MS
+        if keys:
+            self._socket.curve_publickey = keys.public
+            self._socket.curve_secretkey = keys.secret
+            self._socket.curve_serverkey = keys.public
+        failures = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+        failures |= zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
+        self._monitor = self._socket.get_monitor_socket(failures)
+        self._refusals = 0
+        self.address = address
+        try:
+            self._socket.connect(f"tcp://{address}")
+        except zmq.ZMQError as error:
+            self.close()
+            raise ValueError(f"cannot connect to {address!r}: {error}; wanted host:port") from error
+
+    @property
+    def refusals(self) -> int:
+        """How often the other end has turned this one away: a wrong key, or no router at all."""
+        while self._monitor.poll(0):
+            recv_monitor_message(self._monitor)
+            self._refusals += 1
+        return self._refusals
+
+    def poll(self, timeout_s: float) -> bool:
+        """True when a message waits."""
+        return bool(self._socket.poll(_ms(timeout_s), zmq.POLLIN))
+
+    def recv(self, timeout_s: float) -> list[bytes] | None:
+        """The next message; None when none came in time."""
+        return self._socket.recv_multipart() if self.poll(timeout_s) else None
+
+    def send(self, frames: Sequence[bytes], timeout_s: float = 0.0) -> bool:
+        """False when there is no connection, or it takes nothing more, until the timeout."""
+        if not self._socket.poll(_ms(timeout_s), zmq.POLLOUT):
+            return False
+        try:
+            self._socket.send_multipart(list(frames), zmq.DONTWAIT)
+        except zmq.Again:
+            return False
+        return True
+
+    def close(self) -> None:
+        """Send what can be sent at once, then end the connection."""
+        self._socket.disable_monitor()
+        _end(self._context, self._socket, None)
+
+
+def _bounded(context: zmq.Context[zmq.Socket[bytes]], kind: int) -> zmq.Socket[bytes]:
+    made = context.socket(kind)
+    made.linger = LINGER_MS
+    made.sndhwm = made.rcvhwm = HIGH_WATER
+    made.maxmsgsize = MAX_BYTES
+    made.heartbeat_ivl = HEARTBEAT_MS
+    made.heartbeat_timeout = SILENCE_MS
+    return made
+
+
+class _Holders:
+    """Lets in who proves to hold the shared key pair."""
+
+    def __init__(self, keys: Keys) -> None:
+        self._public = keys.public
+
+    def callback(self, domain: str, key: bytes) -> bool:
+        return key == self._public
+
+
+def _gate(context: zmq.Context[zmq.Socket[bytes]], keys: Keys) -> ThreadAuthenticator:
+    gate = ThreadAuthenticator(context)
+    gate.start()
+    gate.configure_curve_callback(domain="*", credentials_provider=_Holders(keys))
+    return gate
+
+
+def _end(context: zmq.Context[zmq.Socket[bytes]], last: zmq.Socket[bytes], gate: ThreadAuthenticator | None) -> None:
+    last.close()
+    if gate:
+        gate.stop()
+    context.destroy(linger=LINGER_MS)
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _ms(timeout_s: float) -> int:
+    return max(0, round(timeout_s * 1000))

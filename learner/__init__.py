@@ -1,0 +1,1 @@
+"""The learner: Algorithm 1, its losses, its two nets, and where its trajectories come from."""

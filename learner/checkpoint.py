@@ -1,0 +1,78 @@
+"""Checkpoints that are whole or not there: written aside, hashed, renamed, then pointed at."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+from giirl.files import sync_folder, whole_file
+
+MANIFEST = "manifest.json"
+LATEST = "latest"
+
+
+def save_checkpoint(folder: Path, step: int, write: Callable[[Path], None], keep: int) -> Path:
+    """Let `write` fill a checkpoint for `step`, make it the latest, and prune all but the newest `keep`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    final, partial = folder / f"step-{step:08d}", folder / f".partial-{step:08d}"
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir()
+    write(partial)
+    hashes = {path.name: _sync_and_hash(path) for path in sorted(partial.iterdir())}
+    manifest = partial / MANIFEST
+    manifest.write_text(json.dumps({"step": step, "sha256": hashes}, indent=2))
+    _sync_and_hash(manifest)
+    sync_folder(partial)
+    shutil.rmtree(final, ignore_errors=True)
+    partial.rename(final)
+    sync_folder(folder)
+    with whole_file(folder / LATEST) as file:
+        file.write(final.name.encode())
+    for old in sorted(folder.glob("step-*"))[:-keep]:
+        shutil.rmtree(old)
+    return final
+
+
+def latest_checkpoint(folder: Path) -> Path:
+    """The checkpoint to resume from, complete and unchanged; ValueError, one line, when there is none."""
+    pointer = folder / LATEST
+    if not pointer.is_file():
+        raise ValueError(f"{folder} holds no checkpoint to resume from")
+    found = folder / pointer.read_text().strip()
+    if found.parent != folder or not (found / MANIFEST).is_file():
+        raise ValueError(f"{pointer} names {found.name!r}, which is no complete checkpoint of {folder}")
+    try:
+        wanted: dict[str, str] = json.loads((found / MANIFEST).read_text())["sha256"]
+        names = sorted(wanted)
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{found / MANIFEST} is damaged: {error}") from None
+    for name in names:
+        path = found / name
+        if not path.is_file():
+            raise ValueError(f"the checkpoint {found} is incomplete: {name} is missing{_instead(folder, found)}")
+        if hashlib.sha256(path.read_bytes()).hexdigest() != wanted[name]:
+            size = path.stat().st_size
+            raise ValueError(
+                f"the checkpoint {found} is damaged: {name}, now {size} bytes, is not what was saved"
+                f"{_instead(folder, found)}"
+            )
+    return found
+
+
+def _instead(folder: Path, damaged: Path) -> str:
+    """What a person can do about it."""
+    others = [path.name for path in sorted(folder.glob("step-*")) if path != damaged]
+    if not others:
+        return "; there is no older one"
+    return f"; to resume from an older one write {others[-1]} into {folder / LATEST}"
+
+
+def _sync_and_hash(path: Path) -> str:
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        os.fsync(file.fileno())
+    return digest

@@ -1,0 +1,33 @@
+"""Behavioural cloning on the same policy net: the baseline of figure 4.8, and an optional start."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+
+from giirl.config import CloningConfig
+from giirl.features import rename
+from giirl.metrics import Metrics, timed_update
+from giirl.models import Policy
+from learner.actor_critic import descend
+from learner.examples import Example, collate_steps, steps_of
+
+
+class Cloner:
+    """Maximises E_E[log pi(a | s, g)]."""
+
+    def __init__(self, config: CloningConfig, net: Policy, noise: torch.Generator, *, metrics: Metrics) -> None:
+        self.config, self.net, self._noise, self._metrics = config, net, noise, metrics
+        self.optimiser = torch.optim.Adam(net.parameters(), lr=config.learning_rate)
+
+    def update(self, expert: Sequence[Example]) -> dict[str, float]:
+        """One step on every step of `expert`."""
+        batch, actions = collate_steps(steps_of(expert))
+        if self.config.rename:
+            batch = rename(batch, actions, self.config.rename, self.config.jitter, self._noise)
+        with timed_update(self._metrics, "cloning"):
+            logp, entropy, _ = self.net.evaluate(batch, actions)
+            loss = -logp.mean()
+            descend(self.optimiser, self.net, loss, max_norm=1.0)
+        return {"p_loss": loss.item(), "p_entropy": entropy.mean().item()}

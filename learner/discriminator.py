@@ -1,0 +1,133 @@
+"""D_phi(s, a | g): trained to tell expert from policy, read as a reward."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from giirl.config import DiscriminatorConfig
+from giirl.features import ActionBatch, Batch, rename
+from giirl.metrics import Metrics, timed_update
+from giirl.models import Policy
+from giirl.reward import RewardModel, reward_of
+from learner.examples import Example, ExpertSampler, Replay, Step, collate_steps, pick_step, steps_of
+from learner.losses import gradient_penalty, logistic_loss
+
+EXPERT = "expert"
+ACCURACY = "d_accuracy_"
+
+
+class Discriminator:
+    """Binary logistic regression of expert (s, a, g) from the policy's, by the sources that the config weighs."""
+
+    def __init__(
+        self,
+        config: DiscriminatorConfig,
+        model: RewardModel,
+        demos: ExpertSampler,
+        draw: np.random.Generator,
+        noise: torch.Generator,
+        *,
+        reward_lag: int,
+        metrics: Metrics,
+    ) -> None:
+        self.config, self.model, self.demos = config, model, demos
+        self._reward_lag, self._metrics = reward_lag, metrics
+        self.replay = Replay(config.replay_size, draw)
+        self.optimiser = torch.optim.AdamW(
+            model.net.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+        )
+        self._draw, self._noise = draw, noise
+
+    def update(self, expert: Sequence[Example], rollouts: Sequence[Example], policy: Policy) -> dict[str, float]:
+        """Train on fresh draws from `expert`, `rollouts` and the other sources; returns loss and accuracies.
+
+        `d_accuracy_SOURCE` is the share of that source's pairs on the right side of D = 1/2.
+        """
+        stats: dict[str, float] = {}
+        for _ in range(self.config.updates):
+            with timed_update(self._metrics, "reward"):
+                stats = self._descend(self._sources(expert, rollouts, policy))
+        for name, value in stats.items():
+            if name.startswith(ACCURACY):
+                self._metrics.discriminator_accuracy.labels(name.removeprefix(ACCURACY)).set(value)
+        self.replay.add(rollouts)
+        return stats
+
+    def rewards(self, rollouts: Sequence[Example], version: int) -> list[Tensor]:
+        """r(s_t, a_t | g) [T] of every rollout, at most `reward_lag` versions behind `version`.
+
+        Rewards that came with a rollout are the reward service's, from this very function and older weights.
+        Those too old are computed again.
+        """
+        carried = [version - e.trajectory.reward_version <= self._reward_lag for e in rollouts]
+        stale = [example for example, fresh in zip(rollouts, carried, strict=True) if not fresh]
+        again = iter(self._score(stale))
+        self._metrics.rewards_used.labels("service").inc(sum(carried))
+        self._metrics.rewards_used.labels("learner").inc(len(stale))
+        return [
+            torch.tensor(example.trajectory.rewards) if fresh else next(again)
+            for example, fresh in zip(rollouts, carried, strict=True)
+        ]
+
+    def _score(self, rollouts: Sequence[Example]) -> list[Tensor]:
+        """r(s_t, a_t | g) [T] of every rollout by the net as it is now."""
+        if not rollouts:
+            return []
+        rewards = self.ask(*collate_steps(steps_of(rollouts))).squeeze(1)
+        return list(rewards.split([len(example.features) for example in rollouts]))
+
+    @torch.no_grad()
+    def ask(self, batch: Batch, actions: ActionBatch) -> Tensor:
+        """r(s, a | g) [B, M] of M actions on each page, taken or not."""
+        self.model.net.eval()
+        return reward_of(self.model.net(batch, actions), self.config.reward, self.config.clip)
+
+    def _sources(
+        self, expert: Sequence[Example], rollouts: Sequence[Example], policy: Policy
+    ) -> dict[str, tuple[float, list[Step]]]:
+        """Steps by where they come from, with the weight each counts with; the expert's come first."""
+        config, draw = self.config, self._draw
+        shown = [pick_step(expert[i % len(expert)], draw) for i in range(config.batch)]
+        sources = {EXPERT: (1.0, shown)}
+        if config.rollouts:
+            new = [pick_step(rollouts[i], draw) for i in draw.integers(len(rollouts), size=config.batch)]
+            sources["rollouts"] = (config.rollouts, new)
+        if config.replay:
+            sources["replay"] = (config.replay, self.replay.sample(config.batch))
+        if config.demo_states:
+            sources["demo_states"] = (config.demo_states, self._act(shown, policy))
+        if config.wrong_goal:
+            sources["wrong_goal"] = (config.wrong_goal, self.demos.wrong_goals(expert))
+        return {name: (weight, steps) for name, (weight, steps) in sources.items() if steps}
+
+    @torch.no_grad()
+    def _act(self, shown: Sequence[Step], policy: Policy) -> list[Step]:
+        """What the policy would do on the experts' pages: a difference that no memory of pages can explain."""
+        batch, _ = collate_steps(shown)
+        uniform = torch.rand(len(shown), 1, 3, generator=self._noise)
+        actions, _ = policy.sample(batch, uniform)
+        return [Step(step.features, action) for step, action in zip(shown, actions.first(), strict=True)]
+
+    def _descend(self, sources: dict[str, tuple[float, list[Step]]]) -> dict[str, float]:
+        config, net = self.config, self.model.net
+        net.train()
+        batch, actions = collate_steps([step for _, steps in sources.values() for step in steps])
+        if config.rename:
+            batch = rename(batch, actions, config.rename, config.jitter, self._noise)
+        read = net.read(batch, actions)
+        logits = net.judge(read).flatten()
+        parts = dict(zip(sources, logits.split([len(steps) for _, steps in sources.values()]), strict=True))
+        loss = logistic_loss(parts[EXPERT], [(w, parts[name]) for name, (w, _) in sources.items() if name != EXPERT])
+        penalty = config.gradient_penalty * gradient_penalty(logits, [read]) if config.gradient_penalty else 0 * loss
+        self.optimiser.zero_grad()
+        (loss + penalty).backward()
+        self.optimiser.step()
+        stats = {"d_loss": loss.item(), "d_penalty": penalty.item()}
+        for name, part in parts.items():
+            right = part > 0 if name == EXPERT else part < 0
+            stats[ACCURACY + name] = right.float().mean().item()
+        return stats

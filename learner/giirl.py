@@ -1,0 +1,39 @@
+"""Goal-Induced Inverse Reinforcement Learning: Algorithm 1 of Luo (2019), line by line.
+
+actors --- tau_pi, g_pi ---> D: expert or policy? --- r(s, a | g) ---> pi: maximise r + alpha H
+   ^                          ^                                         |
+   |                          +---- tau_E, g_E from D_E                 |
+   +----------------------------- pi, and r to score with <-------------+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from giirl.config import Config
+from giirl.spec import TrajectorySource
+from learner.learner import Learner
+
+Observe = Callable[[int, dict[str, float]], None]
+
+
+def giirl(config: Config, learner: Learner, source: TrajectorySource, steps: Iterable[int], observe: Observe) -> None:
+    """Learn a reward and a policy together. `observe` publishes, reports and saves after every step."""
+    demos, discriminator, policy = learner.demos, learner.discriminator, learner.policy
+    for step in steps:
+        rollouts = learner.study(source.take(config.rollout_batch))  # collect tau_pi by executing pi on task xi
+        expert = demos.sample(config.discriminator.batch)  # tau_E, g_E from D_E
+        d = discriminator.update(expert, rollouts, policy.net)  # binary logistic regression (eq. 3.2)
+        rewards = discriminator.rewards(rollouts, version=step + 1)  # r(s, a | g) = log D - log(1 - D)
+        p = policy.update(rollouts, rewards, discriminator.ask)  # policy optimisation (eq. 3.1)
+        observe(step, {**d, **p})
+
+
+def clone(config: Config, learner: Learner, source: TrajectorySource, steps: Iterable[int], observe: Observe) -> None:
+    """Behavioural cloning on the same net and demonstrations; rollouts are only watched."""
+    for step in steps:
+        source.take(config.rollout_batch)
+        observe(step, learner.cloner.update(learner.demos.sample(config.cloning.batch)))
+
+
+ALGORITHMS = {"giirl": giirl, "cloning": clone}

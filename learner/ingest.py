@@ -1,0 +1,127 @@
+"""Where episodes reach the learner: a thread hears the actors while the learner computes."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from giirl.metrics import Metrics, waiting
+from giirl.spec import Episode
+from giirl.transport import Keys, Router
+from learner.admission import Admission, Held, IngestLimits
+
+TICK_S = 0.1  # how soon the thread notices that it should stop
+MAX_BURST = 256  # messages heard before grants are told
+
+
+class Ingest:
+    """Actors on one side, `take` on the other. A lock guards the books; the socket is the thread's alone."""
+
+    def __init__(
+        self,
+        run: str,
+        policy_version: Callable[[], int],
+        *,
+        reward_version: Callable[[], int] | None = None,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        limits: IngestLimits | None = None,
+        keys: Keys | None = None,
+        metrics: Metrics | None = None,
+        held: Held | None = None,
+    ) -> None:
+        self._metrics = metrics or Metrics()
+        self._books = Admission(
+            run,
+            policy_version,
+            reward_version=reward_version,
+            limits=limits or IngestLimits(),
+            metrics=self._metrics,
+            held=held or Held(),
+        )
+        self._lock = threading.Condition()
+        self._broken: BaseException | None = None
+        self._stop = threading.Event()
+        self._router = Router(host, port, keys=keys)
+        self.address = self._router.address
+        self._thread = threading.Thread(target=self._pump, name="ingest", daemon=True)
+        self._thread.start()
+
+    def take(self, episodes: int, timeout_s: float) -> list[Episode]:
+        """The next `episodes` fresh ones, in order of arrival. On TimeoutError those that came stay here."""
+        deadline_s = time.monotonic() + timeout_s
+        with waiting(self._metrics, "rollouts"), self._lock:
+            while True:
+                batch = self._books.pull(episodes)
+                self._router.wake()  # credits were freed
+                if batch is not None:
+                    return batch
+                if self._broken:
+                    raise RuntimeError(f"the ingest thread ended: {self._broken!r}") from self._broken
+                left_s = deadline_s - time.monotonic()
+                if left_s <= 0:
+                    raise TimeoutError(f"no {episodes} episodes within {timeout_s} s: {self._books.excuse()}")
+                self._lock.wait(left_s)
+
+    def snapshot(self) -> Held:
+        """Everything accepted and not yet taken, and what has been judged, at one moment."""
+        with self._lock:
+            return self._books.snapshot()
+
+    def committed(self, held: Held) -> None:
+        """A checkpoint with this snapshot is on the disk: actors may forget what it covers.
+
+        Never a later snapshot: what arrived while the checkpoint was written is not in it.
+        """
+        with self._lock:
+            self._books.commit(held)
+        self._router.wake()
+
+    def silent_for_s(self, actor: str) -> float:
+        """How long ago an actor was last heard; infinite when it never was."""
+        with self._lock:
+            return self._books.silent_for_s(actor)
+
+    @property
+    def queued(self) -> int:
+        """Episodes accepted and not yet taken."""
+        with self._lock:
+            return self._books.queued
+
+    def close(self) -> None:
+        """Stop hearing, and let go of the port."""
+        self._stop.set()
+        self._router.wake()
+        self._thread.join(timeout=10)
+        if self._thread.is_alive():
+            raise RuntimeError("the ingest thread did not stop within 10 s")
+        self._router.close()
+
+    def _pump(self) -> None:
+        try:
+            while not self._stop.is_set():
+                self._turn()
+        except BaseException as error:
+            with self._lock:
+                self._broken = error
+                self._lock.notify_all()
+            raise
+
+    def _turn(self) -> None:
+        timeout_s = TICK_S
+        for _ in range(MAX_BURST):
+            message = self._router.recv(timeout_s)
+            if message is None:
+                break
+            timeout_s = 0.0
+            peer, frames = message
+            with self._lock:
+                answer = self._books.hear(peer, frames)
+                self._lock.notify_all()
+            if answer is not None:
+                self._router.send(peer, answer)  # a peer that is gone needs no answer
+        with self._lock:
+            grants = self._books.grants()
+        for peer, frames in grants:
+            self._router.send(peer, frames)  # one that misses a grant gets it again with its next beat

@@ -1,0 +1,129 @@
+"""All that learning changes, in one place: nets, optimisers, samples and chance; saved and restored whole."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import safetensors.torch
+import torch
+from torch import nn
+
+from giirl.config import Config
+from giirl.language import load_vectors
+from giirl.metrics import Metrics
+from giirl.parameters import hash_nets, load_net, seal_net
+from giirl.reward import build_policy, build_reward
+from giirl.spec import Episode, Outcome, Trajectory, Weights
+from giirl.wire import read_episodes, write_episodes
+from learner.actor_critic import ActorCritic
+from learner.cloning import Cloner
+from learner.discriminator import Discriminator
+from learner.examples import Example, ExpertSampler, study
+
+UNKNOWN_OUTCOME = Outcome(raw_reward=0.0, ended=False)  # replay is for training: it never knew
+
+
+class Learner:
+    """pi_theta, D_phi and what trains them. Same config, demonstrations and rollouts: same bytes."""
+
+    def __init__(self, config: Config, demonstrations: Sequence[Trajectory], metrics: Metrics) -> None:
+        torch.manual_seed(config.seed)
+        self.vectors = load_vectors(config.net.vectors)
+        self._draw = np.random.default_rng([config.seed, 0])
+        self._noise = torch.Generator().manual_seed(config.seed)
+        self.demos = ExpertSampler(demonstrations, self.vectors, self._draw)
+        self.discriminator = Discriminator(
+            config.discriminator,
+            build_reward(config),
+            self.demos,
+            self._draw,
+            self._noise,
+            reward_lag=config.stream.reward_lag,
+            metrics=metrics,
+        )
+        net = build_policy(config)
+        self.policy = ActorCritic(config.policy, net, self._noise, metrics=metrics)
+        self.cloner = Cloner(config.cloning, net, self._noise, metrics=metrics)
+        self.config = config
+        self.version = 0  # steps done
+
+    def study(self, trajectories: Sequence[Trajectory]) -> list[Example]:
+        """Trajectories as the nets see them."""
+        return [study(trajectory, self.vectors) for trajectory in trajectories]
+
+    def cloning_start(self) -> None:
+        """Clone for `policy.cloning_start` updates before anything else; none by default."""
+        for _ in range(self.config.policy.cloning_start):
+            self.cloner.update(self.demos.sample(self.config.cloning.batch))
+
+    def weights(self) -> tuple[Weights, Weights]:
+        """Policy and reward as they are now."""
+        return seal_net(self.policy.net, self.version), seal_net(self.discriminator.model.net, self.version)
+
+    def hash(self) -> str:
+        """sha256 of every parameter, hex."""
+        return hash_nets(self.policy.net, self.discriminator.model.net)
+
+    def save(self, folder: Path) -> None:
+        """Write everything that the next step depends on into an empty folder."""
+        for name, net in self._nets().items():
+            (folder / f"{name}.safetensors").write_bytes(seal_net(net, self.version).blob)
+        for name, optimiser in self._optimisers().items():
+            (folder / f"{name}_optimiser.safetensors").write_bytes(_save_optimiser(optimiser))
+        replay = self.discriminator.replay
+        episodes = [Episode(trajectory=e.trajectory, outcome=UNKNOWN_OUTCOME) for e in replay.examples]
+        write_episodes(folder / "replay.giirl", episodes)
+        state = {
+            "version": self.version,
+            "replay_seen": replay.seen,
+            "draw": self._draw.bit_generator.state,
+            "noise": bytes(self._noise.get_state().tolist()).hex(),
+        }
+        (folder / "learner.json").write_text(json.dumps(state, indent=2))
+
+    def load(self, folder: Path) -> None:
+        """The inverse of `save`; ValueError when the checkpoint is of other nets."""
+        state: dict[str, Any] = json.loads((folder / "learner.json").read_text())
+        for name, net in self._nets().items():
+            load_net(net, Weights.seal(state["version"], (folder / f"{name}.safetensors").read_bytes()))
+        for name, optimiser in self._optimisers().items():
+            _load_optimiser(optimiser, (folder / f"{name}_optimiser.safetensors").read_bytes())
+        replay = self.discriminator.replay
+        replay.examples = self.study([e.trajectory for e in read_episodes(folder / "replay.giirl")])
+        replay.seen = state["replay_seen"]
+        self._draw.bit_generator.state = state["draw"]
+        self._noise.set_state(torch.tensor(list(bytes.fromhex(state["noise"])), dtype=torch.uint8))
+        self.version = state["version"]
+
+    def _nets(self) -> dict[str, nn.Module]:
+        return {"policy": self.policy.net, "reward": self.discriminator.model.net}
+
+    def _optimisers(self) -> Mapping[str, torch.optim.Optimizer]:
+        return {
+            "policy": self.policy.optimiser,
+            "reward": self.discriminator.optimiser,
+            "cloning": self.cloner.optimiser,
+        }
+
+
+def _save_optimiser(optimiser: torch.optim.Optimizer) -> bytes:
+    """The moments of every parameter; learning rates and the like come from the config."""
+    moments = optimiser.state_dict()["state"]
+    blob: bytes = safetensors.torch.save(
+        {f"{index}.{name}": tensor for index, parts in moments.items() for name, tensor in parts.items()}
+    )
+    return blob
+
+
+def _load_optimiser(optimiser: torch.optim.Optimizer, blob: bytes) -> None:
+    moments: dict[int, dict[str, torch.Tensor]] = {}
+    for key, tensor in safetensors.torch.load(blob).items():
+        index, name = key.split(".", 1)
+        moments.setdefault(int(index), {})[name] = tensor
+    state = optimiser.state_dict()
+    state["state"] = moments
+    optimiser.load_state_dict(state)

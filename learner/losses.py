@@ -1,0 +1,59 @@
+"""The equations: tensors in, tensors out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+
+def logistic_loss(expert: Tensor, negatives: Sequence[tuple[float, Tensor]]) -> Tensor:
+    """Eq. 3.2 of Luo (2019): E_pi[-log(1 - D)] + E_E[-log D], from logits [B] of log D - log(1 - D).
+
+    `negatives` are (weight, logits) pairs; the weights are normalised, so expert and negatives count alike
+    however many sources of negatives there are. With one source this is the thesis's loss.
+    """
+    total = sum(weight for weight, logits in negatives if len(logits))
+    loss = functional.softplus(-expert).mean()
+    for weight, logits in negatives:
+        if len(logits):
+            loss = loss + weight / total * functional.softplus(logits).mean()
+    return loss
+
+
+def gradient_penalty(logits: Tensor, inputs: Sequence[Tensor]) -> Tensor:
+    """E |d logit / d input|^2, centred on zero (Mescheder et al. 2018); inputs [B, ...] require grad."""
+    gradients = torch.autograd.grad(logits.sum(), inputs, create_graph=True)
+    return torch.stack([gradient.flatten(1).pow(2).sum(1) for gradient in gradients]).sum(0).mean()
+
+
+def vtrace(
+    logp: Tensor,
+    behaviour_logp: Tensor,
+    rewards: Tensor,
+    values: Tensor,
+    mask: Tensor,
+    gamma: float,
+    clip: float,
+) -> tuple[Tensor, Tensor]:
+    """Value targets v_s and policy-gradient advantages of V-trace (Espeholt et al. 2018, eq. 1 and section 4.2).
+
+    All [B, T], False in `mask` past an episode's end, where everything counts as 0: an episode that is over
+    is worth nothing more. rho is clipped at `clip`, c at min(1, `clip`).
+    """
+    ratio = (logp - behaviour_logp).exp() * mask
+    rho, c = ratio.clamp(max=clip), ratio.clamp(max=min(1.0, clip))
+    values = values * mask
+    following = torch.cat([values[:, 1:], torch.zeros_like(values[:, :1])], dim=1)
+    delta = rho * (rewards * mask + gamma * following - values)
+    correction = torch.zeros_like(values[:, 0])
+    corrections = []
+    for t in reversed(range(values.shape[1])):
+        correction = delta[:, t] + gamma * c[:, t] * correction
+        corrections.append(correction)
+    targets = values + torch.stack(corrections[::-1], dim=1)
+    following_targets = torch.cat([targets[:, 1:], torch.zeros_like(targets[:, :1])], dim=1)
+    advantages = rho * (rewards * mask + gamma * following_targets - values)
+    return targets, advantages

@@ -1,0 +1,1 @@
+"""The learned reward as a service: trajectories in, rewards and their version out."""

@@ -1,0 +1,65 @@
+"""A reward service that runs beside a test, and patience with it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giirl.metrics import Metrics
+from giirl.scoring import ScoreClient
+from giirl.spec import Trajectory, Weights
+from reward_service.service import RewardService, Scorer
+from tests.wire.examples import episode
+
+WAIT_S = 20.0
+Rewards = NDArray[np.float32]
+
+
+def load(weights: Weights) -> Scorer:
+    """A reward that is the number in the blob, for every step."""
+    if not weights.blob.isdigit():
+        raise ValueError(f"{weights.blob!r} is no number")
+    number = float(weights.blob)
+    return lambda trajectories: [np.full(len(t), number, np.float32) for t in trajectories]
+
+
+def trajectory(steps: int = 2) -> Trajectory:
+    return episode(steps).trajectory
+
+
+@contextmanager
+def serving(service: RewardService) -> Iterator[RewardService]:
+    stop = threading.Event()
+    thread = threading.Thread(target=service.serve_forever, args=(stop,))
+    thread.start()
+    try:
+        yield service
+    finally:
+        stop.set()
+        thread.join(WAIT_S)
+        assert not thread.is_alive()
+
+
+def counted(metrics: Metrics, result: str) -> float:
+    return metrics.registry.get_sample_value("giirl_scoring_requests_total", {"result": result}) or 0.0
+
+
+def settled(client: ScoreClient, wanted: int = 1) -> list[tuple[object, Rewards | None, int]]:
+    found: list[tuple[object, Rewards | None, int]] = []
+    deadline_s = time.monotonic() + WAIT_S
+    while len(found) < wanted and time.monotonic() < deadline_s:
+        found += client.poll()
+        time.sleep(0.002)
+    return found
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline_s = time.monotonic() + WAIT_S
+    while not condition():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.002)

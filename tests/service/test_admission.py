@@ -1,0 +1,284 @@
+"""What becomes of each episode that reaches the learner, without sockets: once, fresh, or counted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from giirl import delivery, wire
+from giirl.delivery import Grant
+from giirl.metrics import Metrics
+from giirl.wire import Stamp, WireError
+from learner.admission import Admission, Held, IngestLimits
+from tests.wire.examples import assert_same_episode, episode
+
+
+class Learner:
+    """An admission with a clock of versions, and the words to talk to it."""
+
+    def __init__(self, *, credits_: int = 4, max_lag: int = 8, held: Held | None = None) -> None:
+        self.version = 3
+        self.metrics = Metrics()
+        self.books = Admission(
+            "run",
+            lambda: self.version,
+            reward_version=lambda: self.version,
+            limits=IngestLimits(credits=credits_, max_lag=max_lag),
+            metrics=self.metrics,
+            held=held or Held(),
+        )
+
+    def hello(self, base: int = 0, *, actor: str = "a", incarnation: int = 0, run: str = "run") -> str:
+        stamp = Stamp(run=run, actor=actor, incarnation=incarnation, sequence=base)
+        return self._said(actor, delivery.encode_notice(delivery.HELLO, stamp))
+
+    def episode(
+        self,
+        sequence: int,
+        *,
+        actor: str = "a",
+        incarnation: int = 0,
+        run: str = "run",
+        policy_version: int = 3,
+    ) -> str:
+        stamp = Stamp(run=run, actor=actor, incarnation=incarnation, sequence=sequence)
+        sent = episode(1, seed=sequence, policy_version=policy_version, reward_version=2)
+        return self._said(actor, wire.encode_episode(sent, stamp=stamp))
+
+    def _said(self, actor: str, frames: list[bytes]) -> str:
+        answer = self.books.hear(actor.encode(), frames)
+        if answer is None:
+            return ""
+        header, _ = wire.decode(answer)
+        return str(header.get("reason", header["kind"]))
+
+    def grant(self, actor: str = "a") -> Grant:
+        told = dict(self.books.grants())
+        return delivery.read_grant(wire.decode(told[actor.encode()])[0])
+
+    def count(self, name: str, **labels: str) -> float:
+        return self.metrics.registry.get_sample_value(f"giirl_trajectories_{name}_total", labels) or 0.0
+
+    def dropped(self, reason: str) -> float:
+        return self.count("dropped", reason=reason)
+
+    def seeds(self, episodes: int) -> list[int]:
+        return [e.trajectory.seed for e in self.books.pull(episodes) or []]
+
+
+def test_episodes_are_pulled_in_order_of_arrival() -> None:
+    learner = Learner()
+    learner.hello()
+    for sequence in (1, 0, 2):
+        assert learner.episode(sequence) == ""
+    assert learner.seeds(2) == [1, 0]
+    assert learner.books.pull(2) is None
+    assert learner.books.queued == 1
+
+
+@given(st.permutations([0, 1, 2, 3, 0, 1, 2, 3, 3]))
+def test_whatever_the_order_and_however_often_each_episode_is_taken_once(arrivals: list[int]) -> None:
+    learner = Learner()
+    learner.hello()
+    for sequence in arrivals:
+        learner.episode(sequence)
+    assert sorted(learner.seeds(4)) == [0, 1, 2, 3]
+    assert learner.grant().floor == 4
+    assert learner.dropped("duplicate") == 5
+    assert learner.count("received") == 9
+
+
+def test_credits_come_back_only_as_the_learner_takes() -> None:
+    learner = Learner(credits_=2)
+    learner.hello()
+    assert learner.grant().limit == 2
+    learner.episode(0)
+    learner.episode(1)
+    assert learner.grant().limit == 2
+    assert learner.episode(2) == ""
+    assert learner.dropped("over_credit") == 1
+    learner.seeds(1)
+    assert learner.grant().limit == 3
+    learner.episode(2)  # what came too early is taken when its time has come
+    assert learner.seeds(2) == [1, 2]
+
+
+def test_a_gap_holds_the_floor_but_not_the_credits() -> None:
+    learner = Learner(credits_=2)
+    learner.hello()
+    learner.episode(1)
+    learner.seeds(1)
+    grant = learner.grant()
+    assert (grant.floor, grant.judged, grant.limit) == (0, (1,), 3)
+    learner.episode(0)
+    assert (learner.grant().floor, learner.seeds(1)) == (2, [0])
+
+
+def test_an_actor_that_did_not_say_hello_is_asked_who_it_is_and_loses_nothing() -> None:
+    learner = Learner()
+    assert learner.episode(0) == "who"
+    assert learner.count("received") == 0
+    learner.hello()
+    assert learner.episode(0) == ""
+    assert learner.episode(0, incarnation=1) == "who"
+    assert learner.seeds(1) == [0]
+
+
+def test_an_older_incarnation_and_another_run_are_fenced_and_counted() -> None:
+    learner = Learner()
+    learner.hello(incarnation=2)
+    assert learner.episode(0, incarnation=1) == "fenced"
+    assert learner.hello(incarnation=1) == "fenced"
+    assert learner.episode(0, incarnation=2, run="old") == "other_run"
+    assert learner.hello(run="old") == "other_run"
+    assert (learner.dropped("fenced"), learner.dropped("other_run")) == (1, 1)
+    assert learner.books.queued == 0
+
+
+def test_a_newer_incarnation_begins_again_at_its_own_first_episode() -> None:
+    learner = Learner()
+    learner.hello()
+    learner.episode(0)
+    learner.hello(incarnation=1)
+    learner.episode(0, incarnation=1)
+    assert learner.seeds(2) == [0, 0]
+    assert learner.dropped("duplicate") == 0
+
+
+@pytest.mark.parametrize(("version", "taken"), [(3, 1), (5, 1), (6, 0), (1, 1), (0, 0)])
+def test_an_episode_too_many_versions_away_is_dropped_on_arrival(version: int, taken: int) -> None:
+    learner = Learner(max_lag=2)
+    learner.version = version
+    learner.hello()
+    learner.episode(0, policy_version=3)
+    assert len(learner.seeds(1)) == taken
+    assert learner.dropped("stale") == 1 - taken
+    assert learner.grant().floor == 1  # judged: the actor need not keep it
+
+
+def test_an_episode_that_grows_stale_in_the_queue_is_dropped_there_and_frees_its_credit() -> None:
+    learner = Learner(max_lag=2, credits_=2)
+    learner.hello()
+    learner.episode(0)
+    assert learner.books.pull(2) is None  # taken out of the queue, and still waited with
+    learner.episode(1)
+    learner.version = 6
+    assert learner.books.pull(1) is None
+    assert learner.dropped("stale_queued") == 2
+    assert learner.books.queued == 0
+    assert learner.grant().limit == 4
+
+
+def test_lock_step_takes_nothing_but_the_present_version() -> None:
+    learner = Learner(max_lag=0)
+    learner.hello()
+    learner.episode(0, policy_version=2)
+    learner.episode(1, policy_version=3)
+    assert learner.seeds(1) == [1]
+
+
+def test_malformed_messages_are_counted_and_forgotten() -> None:
+    learner = Learner()
+    learner.hello()
+    for frames in ([], [b"junk"], wire.encode({"kind": "episode"}), [b"GIRL" * 4, b""]):
+        assert learner.books.hear(b"a", frames) is None
+    assert learner.dropped("damaged") == 4
+    assert learner.episode(0) == ""
+    assert learner.seeds(1) == [0]
+
+
+def test_a_whole_message_with_an_impossible_episode_is_judged_invalid_and_not_asked_for_again() -> None:
+    learner = Learner()
+    learner.hello()
+    stamp = Stamp(run="run", actor="a", incarnation=0, sequence=0)
+    header, arrays = wire.decode(wire.encode_episode(episode(1), stamp=stamp))
+    learner.books.hear(b"a", wire.encode(header, {**arrays, "element": np.array([77], np.int32)}))
+    learner.episode(1, policy_version=-1)  # a demonstration is no rollout
+    assert learner.dropped("invalid") == 2
+    assert learner.grant().floor == 2
+    assert learner.books.queued == 0
+
+
+def test_a_checkpoint_brings_back_what_was_held_and_refuses_what_was_judged() -> None:
+    learner = Learner()
+    learner.hello()
+    for sequence in (0, 1, 3):
+        learner.episode(sequence)
+    learner.seeds(1)
+    held = learner.books.snapshot()
+    resumed = Learner(held=held)
+    assert resumed.episode(1) == "who"
+    resumed.hello()
+    grant = resumed.grant()
+    assert (grant.floor, grant.judged, grant.committed) == (2, (3,), 2)
+    for sequence in (0, 1, 2, 3):
+        resumed.episode(sequence)
+    assert resumed.seeds(3) == [1, 3, 2]
+    assert resumed.dropped("duplicate") == 3
+    assert_same_episode(held.episodes[0], episode(1, seed=1, reward_version=2))
+
+
+def test_only_what_the_checkpoint_holds_is_committed() -> None:
+    learner = Learner()
+    learner.hello()
+    learner.episode(0)
+    held = learner.books.snapshot()
+    learner.episode(1)
+    assert learner.grant().committed == 0
+    learner.books.commit(held)
+    assert learner.grant().committed == 1
+    learner.hello(incarnation=1)
+    learner.books.commit(held)  # of an incarnation that is gone
+    assert learner.grant().committed == 0
+
+
+def test_episodes_an_actor_no_longer_has_and_nobody_saw_are_counted_as_lost() -> None:
+    learner = Learner()
+    learner.hello()
+    learner.episode(1)
+    learner.hello(4)
+    assert learner.dropped("lost") == 3  # 0, 2 and 3
+    assert learner.grant().floor == 4
+    learner.hello(2**40)  # in one stride
+    assert learner.dropped("lost") == 3 + 2**40 - 4
+
+
+def test_received_is_dropped_plus_taken_plus_queued() -> None:
+    learner = Learner(credits_=3, max_lag=1)
+    learner.hello()
+    learner.hello(actor="b", incarnation=1)
+    for sequence, version in enumerate((3, 1, 3, 2, 3)):
+        learner.episode(sequence, policy_version=version)
+        learner.episode(sequence, actor="b", incarnation=1, policy_version=version)
+    learner.episode(0, actor="b")
+    taken = len(learner.seeds(2))
+    reasons = ("stale", "duplicate", "fenced", "over_credit", "stale_queued")
+    dropped = sum(learner.dropped(reason) for reason in reasons)
+    assert learner.count("received") == 11 == taken + dropped + learner.books.queued
+
+
+def test_the_lag_of_what_is_taken_is_observed() -> None:
+    learner = Learner()
+    learner.hello()
+    learner.episode(0, policy_version=1)
+    learner.seeds(1)
+    registry = learner.metrics.registry
+    assert registry.get_sample_value("giirl_policy_lag_sum") == 2
+    assert registry.get_sample_value("giirl_reward_lag_sum") == 1
+
+
+def test_limits_that_let_nothing_in_are_refused() -> None:
+    with pytest.raises(ValueError, match="lets nothing in"):
+        IngestLimits(credits=0)
+    with pytest.raises(ValueError, match="lets nothing in"):
+        IngestLimits(max_lag=-1)
+
+
+def test_a_grant_that_lacks_a_number_is_a_wire_error() -> None:
+    whole, _ = wire.decode(delivery.encode_grant(Grant(incarnation=1, floor=2, committed=0, limit=5)))
+    assert delivery.read_grant(whole) == Grant(incarnation=1, floor=2, committed=0, limit=5)
+    for name in set(whole) - {"kind"}:
+        with pytest.raises(WireError, match=name):
+            delivery.read_grant({**whole, name: "1"})

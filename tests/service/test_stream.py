@@ -1,0 +1,231 @@
+"""Episodes from actors to the learner over real sockets, through restarts on either side."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+
+import pytest
+
+from actors.uplink import Refused, Uplink, UplinkLimits
+from giirl import delivery, wire
+from giirl.delivery import Grant
+from giirl.metrics import Metrics
+from giirl.spec import Episode
+from giirl.transport import Dealer, Router
+from learner.admission import Held, IngestLimits
+from learner.ingest import Ingest
+from tests.wire.examples import episode
+
+WAIT_S = 20.0
+QUICK = UplinkLimits(resend_s=0.1, beat_s=0.05, hello_s=0.05)
+
+
+@contextmanager
+def ingesting(
+    port: int = 0, *, held: Held | None = None, metrics: Metrics | None = None, credits_: int = 4
+) -> Iterator[Ingest]:
+    limits = IngestLimits(credits=credits_)
+    with closing(Ingest("run", lambda: 3, port=port, limits=limits, held=held, metrics=metrics)) as ingest:
+        yield ingest
+
+
+def uplink(address: str, *, actor: str = "a", incarnation: int = 0, run: str = "run") -> Uplink:
+    return Uplink(address, run=run, actor=actor, incarnation=incarnation, limits=QUICK)
+
+
+def until(condition: Callable[[], bool], *lines: Uplink) -> None:
+    deadline_s = time.monotonic() + WAIT_S
+    while not condition():
+        for line in lines:
+            line.poll()
+        assert time.monotonic() < deadline_s
+        time.sleep(0.002)
+
+
+def port_of(ingest: Ingest) -> int:
+    return int(ingest.address.rpartition(":")[2])
+
+
+def test_every_episode_of_every_actor_arrives_once() -> None:
+    with ingesting() as ingest:
+        lines = [uplink(ingest.address, actor=f"a{n}") for n in range(3)]
+        seeds = [1000 * n + k for n in range(3) for k in range(20)]
+        found: list[int] = []
+        for k in range(20):
+            for n, line in enumerate(lines):
+                line.offer(episode(1, seed=1000 * n + k))
+            found += [e.trajectory.seed for e in _take_with(ingest, 3, *lines)]
+        assert all(line.flush(WAIT_S) for line in lines)
+        assert sorted(found) == seeds
+        for line in lines:
+            line.close()
+
+
+def _take_with(ingest: Ingest, episodes: int, *lines: Uplink) -> list[Episode]:
+    until(lambda: ingest.queued >= episodes, *lines)
+    return ingest.take(episodes, WAIT_S)
+
+
+def test_an_actor_pauses_while_the_learner_takes_nothing() -> None:
+    with ingesting(credits_=2) as ingest, closing(uplink(ingest.address)) as line:
+        for seed in range(12):
+            line.offer(episode(1, seed=seed))
+        until(lambda: ingest.queued == 2, line)
+        assert not line.flush(0.3)
+        assert (ingest.queued, line.unjudged, line.ready) == (2, 10, False)
+        ingest.take(2, WAIT_S)
+        until(lambda: line.unjudged == 8, line)
+        taken = [e.trajectory.seed for _ in range(5) for e in _take_with(ingest, 2, line)]
+        assert taken == list(range(2, 12))
+        until(lambda: line.ready, line)
+
+
+def test_a_freed_credit_is_told_at_once_and_not_at_the_next_beat(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("learner.ingest.TICK_S", 600.0)
+    slow = UplinkLimits(resend_s=600, beat_s=600, hello_s=600)
+    with ingesting(credits_=1) as ingest:
+        line = Uplink(ingest.address, run="run", actor="a", incarnation=0, limits=slow)
+        with closing(line):
+            line.offer(episode(1))
+            line.offer(episode(1))
+            until(lambda: ingest.queued == 1 and line.unjudged == 1, line)
+            ingest.take(1, WAIT_S)
+            assert line.flush(WAIT_S)
+
+
+def test_an_uplink_holds_no_more_than_its_bound() -> None:
+    limits = UplinkLimits(pause_at=1, max_unjudged=2)
+    with closing(Uplink("127.0.0.1:1", run="run", actor="a", incarnation=0, limits=limits)) as line:
+        assert line.ready
+        line.offer(episode(1))
+        assert not line.ready
+        line.offer(episode(1))
+        with pytest.raises(ValueError, match="play only while `ready`"):
+            line.offer(episode(1))
+
+
+def test_a_take_in_vain_says_who_was_heard_and_keeps_what_came() -> None:
+    with ingesting() as ingest, closing(uplink(ingest.address)) as line:
+        with pytest.raises(TimeoutError, match="of 0 actors heard: none"):
+            ingest.take(1, 0.01)
+        line.offer(episode(1, seed=8))
+        until(lambda: ingest.queued == 1, line)
+        with pytest.raises(TimeoutError, match="1 wait; of 1 actors heard: a "):
+            ingest.take(2, 0.01)
+        assert [e.trajectory.seed for e in ingest.take(1, WAIT_S)] == [8]
+
+
+def test_a_copy_is_kept_until_a_checkpoint_covers_it() -> None:
+    with ingesting() as ingest, closing(uplink(ingest.address)) as line:
+        line.offer(episode(1))
+        assert line.flush(WAIT_S)
+        held = ingest.snapshot()
+        line.offer(episode(1))
+        assert line.flush(WAIT_S)
+        assert line.kept == 2
+        ingest.committed(held)
+        until(lambda: line.kept == 1, line)
+
+
+@pytest.mark.parametrize("resend_s", [0.1, 600.0])
+def test_a_learner_that_resumes_gets_what_it_had_not_saved_and_nothing_twice(resend_s: float) -> None:
+    limits = UplinkLimits(resend_s=resend_s, beat_s=0.05, hello_s=0.05)
+    with ingesting() as first:
+        line = Uplink(first.address, run="run", actor="a", incarnation=0, limits=limits)
+        port = port_of(first)
+        for seed in range(3):
+            line.offer(episode(1, seed=seed))
+        assert line.flush(WAIT_S)
+        assert len(first.take(1, WAIT_S)) == 1
+        saved = first.snapshot()  # 0 was trained on, 1 and 2 are in the checkpoint
+        first.committed(saved)
+        until(lambda: line.kept == 0, line)
+        line.offer(episode(1, seed=3))
+        assert line.flush(WAIT_S)  # accepted, and not in any checkpoint
+    with closing(line), ingesting(port, held=saved) as second:
+        line.offer(episode(1, seed=4))
+        until(lambda: second.queued == 4, line)
+        assert [e.trajectory.seed for e in second.take(4, WAIT_S)] == [1, 2, 3, 4]
+        assert line.flush(WAIT_S)
+        with pytest.raises(TimeoutError):
+            second.take(1, 0.3)  # nothing comes again, though time enough to resend has gone by
+
+
+def test_a_replaced_actor_is_told_and_its_successor_goes_on() -> None:
+    metrics = Metrics()
+    with (
+        ingesting(metrics=metrics) as ingest,
+        closing(uplink(ingest.address, incarnation=0)) as old,
+        closing(uplink(ingest.address, incarnation=1)) as new,
+    ):
+        old.offer(episode(1, seed=1))
+        assert old.flush(WAIT_S)
+        new.offer(episode(1, seed=2))
+        assert new.flush(WAIT_S)
+        with pytest.raises(Refused, match=r"actor 'a', incarnation 0, .*fenced"):
+            until(lambda: False, old)
+        assert [e.trajectory.seed for e in ingest.take(2, WAIT_S)] == [1, 2]
+
+
+def test_an_actor_of_another_run_is_told() -> None:
+    with ingesting() as ingest, closing(uplink(ingest.address, run="old")) as line:
+        with pytest.raises(Refused, match="other_run"):
+            until(lambda: False, line)
+        assert ingest.queued == 0
+
+
+def test_junk_on_the_socket_stops_nobody() -> None:
+    metrics = Metrics()
+    with ingesting(metrics=metrics) as ingest, closing(Dealer(ingest.address, identity=b"vandal")) as vandal:
+        for junk in ([b""], [b"junk"], [b"GIRL" * 9, b"x"] * 40):
+            assert vandal.send(junk, timeout_s=WAIT_S)
+        with closing(uplink(ingest.address)) as line:
+            line.offer(episode(1, seed=6))
+            assert line.flush(WAIT_S)
+            assert [e.trajectory.seed for e in ingest.take(1, WAIT_S)] == [6]
+    dropped = metrics.registry.get_sample_value("giirl_trajectories_dropped_total", {"reason": "damaged"})
+    assert dropped == 3
+
+
+def test_an_episode_lost_on_the_way_is_sent_again() -> None:
+    def grant(floor: int) -> list[bytes]:
+        return delivery.encode_grant(Grant(incarnation=0, floor=floor, committed=0, limit=1))
+
+    with closing(Router()) as router, closing(uplink(router.address)) as line:
+        line.offer(episode(1))
+        heard: list[str] = []
+
+        def hear() -> bool:
+            if (message := router.recv(0.005)) is not None:
+                heard.append(wire.decode(message[1])[0]["kind"])
+                router.send(message[0], [b"junk"])  # ignored
+                router.send(message[0], grant(floor=1 if heard.count(delivery.EPISODE) >= 3 else 0))
+            return line.unjudged == 0
+
+        until(hear, line)
+        assert heard[0] == delivery.HELLO
+        assert heard.count(delivery.EPISODE) == 3
+
+
+def test_judged_copies_beyond_the_bound_are_forgotten_oldest_first_and_counted() -> None:
+    limits = UplinkLimits(max_kept=2, hello_s=0.05, beat_s=0.05)
+    with ingesting(credits_=8) as ingest:
+        line = Uplink(ingest.address, run="run", actor="a", incarnation=0, limits=limits)
+        with closing(line):
+            for seed in range(5):
+                line.offer(episode(1, seed=seed))
+            assert line.flush(WAIT_S)
+            assert (line.kept, line.forgotten) == (2, 3)
+
+
+def test_how_long_an_actor_has_been_silent_is_known() -> None:
+    with ingesting() as ingest, closing(uplink(ingest.address)) as line:
+        assert ingest.silent_for_s("a") == float("inf")
+        until(lambda: ingest.silent_for_s("a") < WAIT_S, line)
+        silence_s = ingest.silent_for_s("a")
+        until(lambda: ingest.silent_for_s("a") > silence_s)
+        silence_s = ingest.silent_for_s("a")
+        until(lambda: ingest.silent_for_s("a") < silence_s, line)
+        assert line.silent_for_s < WAIT_S

