@@ -27,7 +27,7 @@ class Choice:
 
 
 class Chooser(Protocol):
-    """Chooses for B observations at once; `uniform` [B, 3] in (0, 1) is all the chance there is."""
+    """Chooses for B observations at once; `uniform` [B, 3] in [0, 1) is all the chance there is."""
 
     def __call__(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Choice]: ...
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from actors.choosers import Choice, Chooser
-from giirl.metrics import Metrics
+from giirl.metrics import Metrics, waiting
 from giirl.spec import (
     Action,
     Browser,
@@ -23,6 +23,8 @@ from giirl.spec import (
     Verb,
     page_seed,
 )
+
+NO_REF = -(2**31)  # no element has it: such a command does nothing
 
 
 class Schedule:
@@ -96,18 +98,18 @@ def play(
     first = {tab: spec for tab in range(browser.tabs) if (spec := schedule.next(tab)) is not None}
     slots = {tab: _open(seen, schedule, tab) for tab, seen in browser.reset(first).items()}
     while slots:
-        uniform = np.stack([slot.draw.random(3, dtype=np.float32) for slot in slots.values()])
-        choices = chooser([slot.seen for slot in slots.values()], uniform)
-        commands = {
-            tab: _command(slot, choice, step_limit) for (tab, slot), choice in zip(slots.items(), choices, strict=True)
-        }
+        commands = _commands(slots, chooser, step_limit)
+        with waiting(metrics, "browser"):
+            results = browser.step(commands)
         ended: list[Episode] = []
-        for tab, result in browser.step(commands).items():
+        for tab, result in results.items():
             slot = slots[tab]
             metrics.env_steps.inc()
             if result.lost:
                 metrics.episodes.labels(slot.seen.episode.task, "lost").inc()
                 schedule.give_back(slot.seen.episode)
+            elif not slot.pages:
+                metrics.episodes.labels(slot.seen.episode.task, "empty_page").inc()
             elif result.done or commands[tab].last:
                 episode = _close(slot, Outcome(raw_reward=result.raw_reward, ended=result.done))
                 metrics.episodes.labels(episode.trajectory.task, _outcome_name(episode.outcome)).inc()
@@ -127,6 +129,20 @@ def play(
 
 def _open(seen: Observation, schedule: Schedule, tab: int) -> Slot:
     return Slot(seen=seen, following=schedule.next(tab), draw=np.random.default_rng([seen.episode.seed, 1]))
+
+
+def _commands(slots: Mapping[int, Slot], chooser: Chooser, step_limit: int) -> dict[int, Command]:
+    """A batched choice for all tabs. A page with nothing to act on ends its episode."""
+    commands = {
+        tab: Command(verb=Verb.CLICK, ref=NO_REF, last=True, following=slot.following) for tab, slot in slots.items()
+    }
+    playable = {tab: slot for tab, slot in slots.items() if slot.seen.page.leaf.any()}
+    if playable:
+        uniform = np.stack([slot.draw.random(3, dtype=np.float32) for slot in playable.values()])
+        choices = chooser([slot.seen for slot in playable.values()], uniform)
+        for (tab, slot), choice in zip(playable.items(), choices, strict=True):
+            commands[tab] = _command(slot, choice, step_limit)
+    return commands
 
 
 def _command(slot: Slot, choice: Choice, step_limit: int) -> Command:

@@ -99,7 +99,7 @@ class Chrome:
         self.directory = Path(tempfile.mkdtemp(prefix="giirl-chrome-", dir=_short_directory()))
         self._service: Service | None = None
         self._connection: RemoteConnection | None = None
-        self._reaper = reaper.start(self.directory)
+        self._reaper = reaper.Reaper(self.directory)
         try:
             capabilities = self._launch(binary, driver, headless, no_sandbox, timeout_s).capabilities
             self.debugger_address = str(capabilities["goog:chromeOptions"]["debuggerAddress"])
@@ -159,10 +159,4 @@ class Chrome:
         if process is not None:
             process.wait(timeout=reaper.GIVE_UP_S)
             process.stdin.close()
-        assert self._reaper.stdin is not None
-        self._reaper.stdin.close()
-        try:
-            self._reaper.wait(timeout=2 * reaper.GIVE_UP_S)
-        except subprocess.TimeoutExpired:
-            self._reaper.kill()
-            self._reaper.wait()
+        self._reaper.end()

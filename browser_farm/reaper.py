@@ -1,7 +1,8 @@
 """Ends every Chrome process of a farm once its owner is gone, however the owner ended, SIGKILL included.
 
-It runs as a process of its own, started before Chrome: `python reaper.py FARM_DIRECTORY`, with a pipe from
+It runs as a process of its own, started before Chrome: `python reaper.py FARM_DIRECTORY OWNER`, with a pipe from
 the owner as standard input. Nothing is ever written to that pipe, so the end of it is the end of the owner.
+It is nobody's child: a Ray worker whose node is gone kills its children, and then ends itself.
 """
 
 from __future__ import annotations
@@ -16,20 +17,35 @@ import time
 from pathlib import Path
 
 MARK = "GIIRL_FARM_DIRECTORY"  # set in the environment of chromedriver, and so of all it starts
-LOOK_S = 1.0
 GIVE_UP_S = 10.0
 
 
-def start(directory: Path) -> subprocess.Popen[bytes]:
-    """A reaper for the Chrome that will live in `directory`; closing its stdin sets it to work."""
-    return subprocess.Popen(
-        [sys.executable, "-I", "-S", __file__, str(directory)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-        cwd="/",
-    )
+class Reaper:
+    """The owner's end of a reaper."""
+
+    def __init__(self, directory: Path) -> None:
+        self._parent = subprocess.Popen(
+            [sys.executable, "-I", "-S", __file__, str(directory), str(os.getpid())],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+            cwd="/",
+        )
+        assert self._parent.stdout is not None
+        self._life = self._parent.stdout  # ends with the reaper
+        self._pid = int(self._life.readline())
+        self._parent.wait()
+
+    def end(self) -> None:
+        """Set it to work, and wait until it is done."""
+        assert self._parent.stdin is not None
+        self._parent.stdin.close()
+        end = select.poll()
+        end.register(self._life)
+        if not end.poll(2000 * GIVE_UP_S):
+            os.kill(self._pid, signal.SIGKILL)
+        self._life.close()
 
 
 def processes(directory: Path) -> set[int]:
@@ -83,16 +99,23 @@ def reap(directory: Path, *, timeout_s: float = GIVE_UP_S) -> None:
     shutil.rmtree(directory, ignore_errors=True)
 
 
-def main(directory: Path) -> None:
+def main(directory: Path, owner: int) -> None:
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(name, signal.SIG_IGN)
-    owner = os.getppid()
-    while os.getppid() == owner:  # a fork of the owner may hold the pipe open, so look for the owner as well
-        readable, _, _ = select.select([0], [], [], LOOK_S)
-        if readable and not os.read(0, 1):
+    pid = os.fork()
+    if pid:
+        print(pid, flush=True)  # noqa: T201, the owner reads it
+        return
+    try:
+        gone = os.pidfd_open(owner)  # a fork of the owner may hold the pipe open, so look for the owner as well
+    except ProcessLookupError:
+        gone = 0
+    while True:
+        readable, _, _ = select.select([0, gone], [], [])
+        if gone in readable or not os.read(0, 1):
             break
     reap(directory)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), int(sys.argv[2]))

@@ -7,7 +7,7 @@ import gzip
 import json
 import zlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -84,13 +84,18 @@ def read_recording(path: Path) -> Recorded:
 
 
 def import_recordings(
-    root: Path, *, tasks: Sequence[str], limit: int | None = None, collections: Sequence[str] | None = None
+    root: Path,
+    *,
+    tasks: Sequence[str],
+    limit: int | None = None,
+    collections: Sequence[str] | None = None,
+    on_file: Callable[[], None] = lambda: None,
 ) -> tuple[list[Episode], ImportReport]:
     """Read the recordings of some tasks, in the order of `tasks` and of the file names.
 
     `root` is the folder of all collections, one collection, or one task of one collection. `limit` ends a
     task after that many clean recordings. The episodes are the clean ones and people's failures, which their
-    outcome tells apart. A recording that lies in two collections is taken once.
+    outcome tells apart. A recording that lies in two collections is taken once. `on_file` hears of each file read.
     """
     if limit is not None and limit < 1:
         raise ValueError(f"limit is {limit}, wanted at least 1")
@@ -102,7 +107,7 @@ def import_recordings(
             near = difflib.get_close_matches(task, found, n=3, cutoff=0.4) or sorted(found)
             raise ValueError(f"{root} has no recordings of {task!r}, wanted one of: {', '.join(near)}")
         if task not in counts:
-            kept, counts[task] = _import_task(found[task], limit)
+            kept, counts[task] = _import_task(found[task], limit, on_file)
             episodes.extend(kept)
     return episodes, ImportReport(tasks=counts)
 
@@ -131,7 +136,9 @@ def find_recordings(root: Path, *, collections: Sequence[str] | None = None) -> 
     return dict(sorted(found.items()))
 
 
-def _import_task(paths: Sequence[Path], limit: int | None) -> tuple[list[Episode], TaskImport]:
+def _import_task(
+    paths: Sequence[Path], limit: int | None, on_file: Callable[[], None]
+) -> tuple[list[Episode], TaskImport]:
     kept: list[Episode] = []
     skipped: Counter[str] = Counter()
     names: set[str] = set()
@@ -140,6 +147,7 @@ def _import_task(paths: Sequence[Path], limit: int | None) -> tuple[list[Episode
         if clean == limit:
             break
         read += 1
+        on_file()
         if _stem(path) in names:
             skipped[REPEATED] += 1
             continue

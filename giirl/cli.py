@@ -9,10 +9,10 @@ from types import FrameType
 from typing import Any, Never
 
 import click
-from rich.table import Table
+from rich.table import Column, Table
 
 from giirl.cli_demos import demos, writable
-from giirl.config import Config, load_config
+from giirl.config import Config, changed, load_config
 from giirl.doctor import checks
 from giirl.progress import Display
 
@@ -32,7 +32,7 @@ def giirl() -> None:
 @click.option("--demos", type=click.Path(path_type=Path), help="Also look at this folder of recordings.")
 def doctor(demos: Path | None) -> None:
     """What is installed, what is missing, how to get it."""
-    table = Table("", "what", "found", "how to mend it")
+    table = Table("", "what", Column("found", overflow="fold"), "how to mend it")
     found = checks(demos)
     for check in found:
         mark = "ok" if check.ok else ("MISSING" if check.needed else "low")
@@ -75,12 +75,17 @@ def train(
         settings, checkpoint = load_config(path, changes), None
         check_tasks(settings)
         folder = RunFolder.create(settings, path.stem if path else "giirl")
-        display.say(f"run folder {folder.path}, its config in {folder.config_file.name}")
+        display.say(f"run folder {folder.path}, every setting in its {folder.config_file.name}")
+        display.say(f"not the defaults: {' '.join(changed(settings))}")
     try:
         result = train(settings, folder, checkpoint, display)
     except Stopped:
         display.say(f"stopped and saved; to go on: giirl train --resume {folder.path}")
         sys.exit(130)
+    except BaseException:
+        if resume is None:
+            folder.discard_unless_begun()
+        raise
     for target in (folder.result, *_some(json_file)):
         folder.write_json(target, result)
     display.table(result_table(result))

@@ -50,13 +50,10 @@ def import_(
     folder: Path, out: Path, tasks: tuple[str, ...], per_task: int | None, collections: tuple[str, ...]
 ) -> None:
     """Turn public human recordings (COLLECTION/TASK/*.json.gz) into demonstrations; failures stay, marked."""
-    from browser_farm.recordings import import_recordings
+    from giirl.run_demos import recorded
 
     writable(out)
-    display = Display()
-    names = tasks or DEFAULT_TASKS
-    display.say(f"reading recordings of {', '.join(names)} in {folder}")
-    episodes, report = import_recordings(folder, tasks=names, limit=per_task, collections=collections or None)
+    episodes, report = recorded(folder, tasks or DEFAULT_TASKS, per_task, collections or None, Display())
     for line in report.lines():
         click.echo(line)
     _save(out, episodes, wanted=None)

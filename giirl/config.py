@@ -6,14 +6,14 @@ import dataclasses
 import difflib
 import json
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-STRICT = ConfigDict(extra="forbid")
+STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 Positive = Annotated[int, Field(ge=1)]
 Seconds = Annotated[float, Field(gt=0)]
@@ -77,7 +77,7 @@ class DiscriminatorConfig:
     batch: Positive = 64  # expert steps per update, and as many of every kind of negative
     rollouts: Weight = 0.25  # steps of the newest rollouts
     replay: Weight = 0.25  # steps of older rollouts
-    replay_size: Positive = 4096  # steps kept, a uniform sample of all so far
+    replay_size: Positive = 4096  # trajectories kept, a uniform sample of all so far
     demo_states: Weight = 0.5  # the policy's own actions on demonstration states
     wrong_goal: Weight = 0.25  # expert steps under another goal of the same task
     rename: Share = 0.5  # chance that a sample's words are consistently replaced
@@ -142,7 +142,7 @@ class Config:
     browser: Literal["chrome", "fake"] = "chrome"
     algorithm: Literal["giirl", "cloning"] = "giirl"
     tasks: Annotated[tuple[str, ...], Field(min_length=1)] = DEFAULT_TASKS
-    iterations: Positive = 600  # N of Algorithm 1
+    iterations: Positive = 300  # N of Algorithm 1
     rollout_batch: Positive = 32  # episodes per iteration
     step_limit: Positive = 10  # actions per episode
     checkpoint_every: Positive = 50  # iterations
@@ -193,6 +193,20 @@ def parse_config(tree: dict[str, Any], where: str) -> Config:
 def dump_config(config: Config) -> str:
     """The whole tree as JSON, in a form that `load_config` reads back."""
     return _TREE.dump_json(config, indent=2).decode() + "\n"
+
+
+def changed(config: Config) -> list[str]:
+    """key=value for every setting that is not its default."""
+    default = dict(_leaves(_TREE.dump_python(Config(), mode="json")))
+    return [f"{key}={value}" for key, value in _leaves(_TREE.dump_python(config, mode="json")) if value != default[key]]
+
+
+def _leaves(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, value
 
 
 def keys(section: type[Any] = Config, prefix: str = "") -> list[str]:

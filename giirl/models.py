@@ -135,7 +135,7 @@ class Policy(nn.Module):
     def sample(self, batch: Batch, uniform: Tensor | None, flat: Tensor | None = None) -> tuple[ActionBatch, Tensor]:
         """M actions for each page and their log-probabilities [B, M] under what they were drawn from.
 
-        `uniform` [B, M, 3] in (0, 1) drives the draws; None takes the one likeliest action. Where `flat` [M]
+        `uniform` [B, M, 3] in [0, 1) drives the draws; None takes the one likeliest action. Where `flat` [M]
         is True the draw is uniform over what is legal instead of by the policy.
         """
         seen: Encoding = self.encoder(batch)
@@ -240,7 +240,7 @@ def _draw(logp: Tensor, uniform: Tensor | None) -> Tensor:
     """[B, M] the likeliest column, or the one where the cumulative probability passes `uniform` [B, M]."""
     if uniform is None:
         return logp.argmax(2)
-    passed = logp.exp().cumsum(2) < uniform.unsqueeze(2)
+    passed = logp.exp().cumsum(2) <= uniform.unsqueeze(2)  # a draw of exactly 0 passes what may not be chosen
     legal = (logp > NEVER / 2).long()
     last = logp.shape[2] - 1 - legal.flip(2).argmax(2)
     return torch.minimum(passed.sum(2), last)

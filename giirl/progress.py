@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 from rich.console import Console
 from rich.progress import (
@@ -24,11 +24,10 @@ LOG_EVERY_S = 10.0
 class Job:
     """One piece of long work under way."""
 
-    def __init__(self, what: str, total: int, console: Console, bar: Progress | None) -> None:
-        self._what, self._total, self._console, self._bar = what, total, console, bar
-        self._done = 0
+    def __init__(self, what: str, total: int, done: int, console: Console, bar: Progress | None) -> None:
+        self._what, self._total, self._done, self._console, self._bar = what, total, done, console, bar
         self._said_s = time.monotonic()
-        self._id = bar.add_task(what, total=total, note="") if bar else None
+        self._id = bar.add_task(what, total=total, completed=done, note="") if bar else None
 
     def advance(self, count: int = 1, note: str = "") -> None:
         """Say that `count` more are done; `note` stands beside it."""
@@ -43,26 +42,33 @@ class Job:
 
 
 class Display:
-    """Where progress and results are shown; standard error, so that results can be piped."""
+    """Progress goes to standard error, tables of results to standard output."""
 
-    def __init__(self, console: Console | None = None) -> None:
-        self.console = console or Console(stderr=True)
+    def __init__(self) -> None:
+        self.console = Console(stderr=True)
+        self._results = Console()
 
     def say(self, text: str) -> None:
         """A line that stays."""
         self.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def table(self, table: Table) -> None:
-        self.console.print(table)
+        """A result."""
+        self._results.print(table)
+
+    @contextmanager
+    def busy(self, what: str) -> Iterator[None]:
+        """Show that something is going on whose length nobody knows."""
+        self.say(what)
+        with self.console.status(what) if self.console.is_terminal else nullcontext():
+            yield
 
     @contextmanager
     def job(self, what: str, total: int, done: int = 0) -> Iterator[Job]:
         """Show progress while the block lasts."""
         if not self.console.is_terminal:
             self.say(f"{what} ...")
-            job = Job(what, total, self.console, None)
-            job._done = done
-            yield job
+            yield Job(what, total, done, self.console, None)
             return
         columns = (
             SpinnerColumn(),
@@ -74,6 +80,4 @@ class Display:
             TextColumn("{task.fields[note]}", markup=False),
         )
         with Progress(*columns, console=self.console) as bar:
-            job = Job(what, total, self.console, bar)
-            job.advance(done)
-            yield job
+            yield Job(what, total, done, self.console, bar)

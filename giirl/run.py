@@ -12,6 +12,8 @@ from threading import Event
 from types import FrameType
 from typing import Any, Protocol
 
+import torch
+
 from giirl.config import Config
 from giirl.metrics import Metrics, write_targets
 from giirl.progress import Display, Job
@@ -52,6 +54,7 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
     """Run to the end, evaluate, and return the result; Stopped after Ctrl-C or SIGTERM, with a checkpoint saved."""
     since_s = time.monotonic()
     metrics, stop = Metrics(), Event()
+    torch.set_num_threads(1)  # the nets are small, and Chrome wants the other cores
     own = metrics.serve(config.metrics.host, config.metrics.port)
     try:
         if resume is None:
@@ -113,11 +116,13 @@ class Session:
             self.env_steps, self.episodes = point["env_steps"], point["episodes"]
         if learner.version >= config.iterations:
             return
-        self._display.say(f"starting the {config.runtime} runtime")
-        self._runtime = open_runtime(config, self._metrics, self._folder.path.name, self._stop, resume)
+        with self._display.busy(f"starting the {config.runtime} runtime"):
+            self._runtime = open_runtime(config, self._metrics, self._folder.path.name, self._stop, resume)
         try:
-            self._runtime.publish(*learner.weights())
+            with self._display.busy("starting actors and reward service"):
+                self._runtime.publish(*learner.weights())
             self._tell_targets()
+            self._display.say(f"success is that of the last {WINDOW} episodes of {', '.join(config.tasks)}")
             with self._display.job("training", config.iterations, learner.version) as self._job:
                 ALGORITHMS[config.algorithm](config, learner, self, self._steps(), self._observe)
         except Stopped:
@@ -169,9 +174,12 @@ class Session:
             self._save()
 
     def _note(self, outcomes: dict[str, list[int]]) -> str:
+        """How well the policy does as it explores, task by task."""
         for task, some in outcomes.items():
             self._recent[task].extend(some)
-        return "  ".join(f"{task} {100 * sum(some) / max(len(some), 1):.0f}%" for task, some in self._recent.items())
+        return (
+            "success " + " ".join(f"{100 * sum(some) / max(len(some), 1):.0f}" for some in self._recent.values()) + " %"
+        )
 
     def _save(self) -> None:
         runtime = self._runtime

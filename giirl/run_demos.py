@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from actors.choosers import ExpertChooser
 from actors.rollouts import Schedule, play
 from browser_farm.experts import expert
-from browser_farm.recordings import ImportReport, import_recordings
+from browser_farm.recordings import ImportReport, find_recordings, import_recordings
 from giirl.config import Config
 from giirl.metrics import Metrics
 from giirl.progress import Display
@@ -19,12 +20,12 @@ from giirl.wire import read_episodes
 def gather(config: Config, metrics: Metrics, display: Display) -> list[Episode]:
     """The successful demonstrations that a config asks for, at most `demos.per_task` of each task."""
     if config.demos.source == "scripted":
-        return make(config, metrics, display)
+        return chosen(make(config, metrics, display), config, "the scripted expert")
     if not config.demos.path:
         raise ValueError(f"demos.source is {config.demos.source!r}: wanted demos.path=FILE_OR_FOLDER beside it")
     path = Path(config.demos.path)
     if config.demos.source == "recordings":
-        episodes, _ = recorded(path, config, display)
+        episodes, _ = recorded(path, config.tasks, config.demos.per_task, config.demos.collections or None, display)
     else:
         episodes = read_episodes(path)
     return chosen(episodes, config, str(path))
@@ -49,12 +50,13 @@ def make(config: Config, metrics: Metrics, display: Display) -> list[Episode]:
     return sorted(made, key=lambda episode: (episode.trajectory.task, episode.trajectory.seed))
 
 
-def recorded(path: Path, config: Config, display: Display) -> tuple[list[Episode], ImportReport]:
-    """Human recordings of the config's tasks, failures among them."""
-    display.say(f"reading human recordings in {path}")
-    return import_recordings(
-        path, tasks=config.tasks, limit=config.demos.per_task, collections=config.demos.collections or None
-    )
+def recorded(
+    path: Path, tasks: Sequence[str], limit: int | None, collections: Sequence[str] | None, display: Display
+) -> tuple[list[Episode], ImportReport]:
+    """Human recordings of some tasks, at most `limit` clean ones of each; failures among them."""
+    found = find_recordings(path, collections=collections)
+    with display.job("reading recordings", sum(len(found.get(task, ())) for task in tasks)) as job:
+        return import_recordings(path, tasks=tasks, limit=limit, collections=collections, on_file=job.advance)
 
 
 def chosen(episodes: list[Episode], config: Config, where: str) -> list[Episode]:

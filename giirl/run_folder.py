@@ -48,6 +48,13 @@ class RunFolder:
             raise ValueError(f"{path} is no run: there is no {folder.config_file.name} in it")
         return folder, load_config(folder.config_file)
 
+    def discard_unless_begun(self) -> None:
+        """Take back `create` where a run failed before it had demonstrations: the mended command finds no folder."""
+        if not self.demonstrations.exists():
+            self.config_file.unlink(missing_ok=True)
+            if not any(self.path.iterdir()):
+                self.path.rmdir()
+
     def write(self, path: Path, text: str) -> None:
         """Replace a file whole."""
         with whole_file(path) as file:

@@ -10,6 +10,7 @@ import json
 import logging
 import os
 import secrets
+import signal
 import time
 from collections.abc import Callable
 from dataclasses import asdict
@@ -235,6 +236,15 @@ class RayRuntime:
 def _connect(config: Config) -> None:
     """Start Ray on this machine alone, or join the cluster that this process was started in."""
     quiet: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
+    terminated = signal.getsignal(signal.SIGTERM)
+    try:
+        _init(config, quiet)
+    finally:
+        signal.signal(signal.SIGTERM, terminated)  # Ray puts its own in place, which ends a run unsaved
+
+
+def _init(config: Config, quiet: dict[str, Any]) -> None:
+    """The call itself, as the runtime needs it."""
     if config.runtime == "ray":
         ray.init(address="auto", **quiet)
         return

@@ -76,6 +76,8 @@ class ActorCritic:
         Actions come from q, half policy and half chance, so each counts with exp(r / alpha) / q.
         """
         count = self.config.asked
+        if not count:
+            return taken, torch.zeros(len(batch), 0)
         flat = torch.arange(count) % 2 == 1
         uniform = torch.rand(len(batch), count, 3, generator=self._noise)
         drawn, _ = self.net.sample(batch, uniform, flat)

@@ -19,7 +19,8 @@ def save_checkpoint(folder: Path, step: int, write: Callable[[Path], None], keep
     """Let `write` fill a checkpoint for `step`, make it the latest, and prune all but the newest `keep`."""
     folder.mkdir(parents=True, exist_ok=True)
     final, partial = folder / f"step-{step:08d}", folder / f".partial-{step:08d}"
-    shutil.rmtree(partial, ignore_errors=True)
+    for abandoned in folder.glob(".partial-*"):
+        shutil.rmtree(abandoned)
     partial.mkdir()
     write(partial)
     hashes = {path.name: _sync_and_hash(path) for path in sorted(partial.iterdir())}
@@ -32,7 +33,8 @@ def save_checkpoint(folder: Path, step: int, write: Callable[[Path], None], keep
     sync_folder(folder)
     with whole_file(folder / LATEST) as file:
         file.write(final.name.encode())
-    for old in sorted(folder.glob("step-*"))[:-keep]:
+    others = sorted(path for path in folder.glob("step-*") if path != final)  # later ones too, after going back
+    for old in others[: max(0, len(others) + 1 - keep)]:
         shutil.rmtree(old)
     return final
 
@@ -44,12 +46,12 @@ def latest_checkpoint(folder: Path) -> Path:
         raise ValueError(f"{folder} holds no checkpoint to resume from")
     found = folder / pointer.read_text().strip()
     if found.parent != folder or not (found / MANIFEST).is_file():
-        raise ValueError(f"{pointer} names {found.name!r}, which is no complete checkpoint of {folder}")
+        raise ValueError(f"{pointer} names {found.name!r}, which is no complete checkpoint{_instead(folder, found)}")
     try:
         wanted: dict[str, str] = json.loads((found / MANIFEST).read_text())["sha256"]
-        names = sorted(wanted)
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{found / MANIFEST} is damaged: {error}") from None
+        names = sorted(wanted.keys())
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{found / MANIFEST} is damaged: {error!r}{_instead(folder, found)}") from None
     for name in names:
         path = found / name
         if not path.is_file():

@@ -13,6 +13,7 @@ from giirl.features import ActionBatch, Batch, rename
 from giirl.metrics import Metrics, timed_update
 from giirl.models import Policy
 from giirl.reward import RewardModel, reward_of
+from giirl.spec import UNSCORED
 from learner.examples import Example, ExpertSampler, Replay, Step, collate_steps, pick_step, steps_of
 from learner.losses import gradient_penalty, logistic_loss
 
@@ -63,7 +64,8 @@ class Discriminator:
         Rewards that came with a rollout are the reward service's, from this very function and older weights.
         Those too old are computed again.
         """
-        carried = [version - e.trajectory.reward_version <= self._reward_lag for e in rollouts]
+        versions = [example.trajectory.reward_version for example in rollouts]
+        carried = [scored != UNSCORED and version - scored <= self._reward_lag for scored in versions]
         stale = [example for example, fresh in zip(rollouts, carried, strict=True) if not fresh]
         again = iter(self._score(stale))
         self._metrics.rewards_used.labels("service").inc(sum(carried))
@@ -118,6 +120,8 @@ class Discriminator:
         batch, actions = collate_steps([step for _, steps in sources.values() for step in steps])
         if config.rename:
             batch = rename(batch, actions, config.rename, config.jitter, self._noise)
+        if config.dropout:  # it draws from torch's own generator, which no checkpoint holds
+            torch.manual_seed(int(torch.randint(1 << 62, (1,), generator=self._noise)))
         read = net.read(batch, actions)
         logits = net.judge(read).flatten()
         parts = dict(zip(sources, logits.split([len(steps) for _, steps in sources.values()]), strict=True))
