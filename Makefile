@@ -80,8 +80,8 @@ run: install ## train on the four tasks of the thesis, or on CONFIG
 test: check ## every check and every test: what CI runs
 	@$(BIN)/python -m pytest
 
-test-fast: install ## the tests that start neither Ray nor Chrome
-	@$(BIN)/python -m pytest -m "not chrome and not ray"
+test-fast: install ## the tests that start neither Ray nor Chrome and end within seconds
+	@$(BIN)/python -m pytest -m "not chrome and not ray and not slow"
 
 check: install ## style, types and import contracts
 	@$(BIN)/ruff check .

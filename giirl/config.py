@@ -169,11 +169,12 @@ def load_config(path: Path | None, overrides: Sequence[str] = ()) -> Config:
     """
     tree = _read(path) if path is not None else {}
     where = str(path) if path is not None else "the command line"
+    defaults = dict(_leaves(_TREE.dump_python(Config(), mode="json")))
     for override in overrides:
         key, equals, text = override.partition("=")
         if not equals or not key:
             raise ValueError(f"{override!r} is no override: wanted key=value, for example seed=1")
-        _set(tree, key, _value(text))
+        _set(tree, key, _value(text, defaults.get(key)))
     return parse_config(tree, where)
 
 
@@ -233,8 +234,10 @@ def _read(path: Path) -> dict[str, Any]:
     return tree
 
 
-def _value(text: str) -> Any:
-    """A TOML value, or the text itself where it is none: `run=out/a` needs no quotes."""
+def _value(text: str, default: Any) -> Any:
+    """A TOML value, or the text itself where it is none or a text is wanted: `run=out/a` needs no quotes."""
+    if isinstance(default, str) and not text.startswith(('"', "'")):
+        return text
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:

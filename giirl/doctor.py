@@ -28,6 +28,7 @@ REINSTALL = "make install"
 # Distribution and import name of each package that a run imports.
 PACKAGES = (
     ("click", "click"),
+    ("gymnasium", "gymnasium"),
     ("miniwob", "miniwob"),
     ("msgpack", "msgpack"),
     ("numpy", "numpy"),

@@ -122,9 +122,12 @@ class Session:
             with self._display.busy("starting actors and reward service"):
                 self._runtime.publish(*learner.weights())
             self._tell_targets()
+            if resume is None:
+                self._save()  # from here on the run can be resumed
             self._display.say(f"success is that of the last {WINDOW} episodes of {', '.join(config.tasks)}")
             with self._display.job("training", config.iterations, learner.version) as self._job:
                 ALGORITHMS[config.algorithm](config, learner, self, self._steps(), self._observe)
+            _raise_if(self._stop)
         except Stopped:
             self._save()
             raise

@@ -72,14 +72,13 @@ def _measure(
     what: str,
 ) -> dict[str, Score]:
     schedule = Schedule(config.tasks, browser.tabs, purpose=purpose, run_seed=config.seed, quota=episodes)
-    played, won = dict.fromkeys(config.tasks, 0), dict.fromkeys(config.tasks, 0)
+    won = dict.fromkeys(config.tasks, 0)
     with display.job(what, episodes * len(config.tasks)) as job:
         for finished in play(browser, chooser, schedule, step_limit=config.step_limit, metrics=metrics):
             for episode in finished:
-                played[episode.trajectory.task] += 1
                 won[episode.trajectory.task] += episode.outcome.success
             job.advance(len(finished))
-    return {task: Score(episodes=played[task], successes=won[task]) for task in config.tasks}
+    return {task: Score(episodes=episodes, successes=won[task]) for task in config.tasks}
 
 
 def result_table(result: dict[str, Any]) -> Table:

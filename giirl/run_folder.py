@@ -77,7 +77,10 @@ class RunFolder:
 
     def points(self) -> list[dict[str, Any]]:
         """The learning curve so far."""
-        return [json.loads(line) for line in self.curve.read_text().splitlines()] if self.curve.exists() else []
+        if not self.curve.exists():
+            return []
+        *whole, _ = self.curve.read_text().split("\n")  # a run that was killed may leave a last line cut short
+        return [json.loads(line) for line in whole]
 
     def cut_curve(self, step: int) -> None:
         """Forget what came after `step`: a resumed run lives through it again."""

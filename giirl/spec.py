@@ -77,8 +77,8 @@ class Page:
                 raise ValueError(f"Page.{name} has {len(getattr(self, name))} rows, Page.tag has {rows}")
         if self.box.shape != (rows, 4):
             raise ValueError(f"Page.box has shape {self.box.shape}, wanted {(rows, 4)}")
-        if rows and not bool(np.all(self.parent < np.arange(rows))):
-            raise ValueError("Page.parent names a row at or after its child; wanted document order")
+        if not bool(np.all((self.parent >= -1) & (self.parent < np.arange(rows)))):
+            raise ValueError("Page.parent names a row that is not before its child; wanted document order, or -1")
 
     def __len__(self) -> int:
         return len(self.tag)
@@ -211,7 +211,8 @@ class Trajectory:
         for t, (page, action) in enumerate(zip(self.pages, self.actions, strict=True)):
             if not 0 <= action.element < len(page):
                 raise ValueError(f"step {t} acts on element {action.element} of a page with {len(page)}")
-            if not NO_SPAN <= action.start <= action.end < len(self.goal.tokens):
+            none = action.start == action.end == NO_SPAN
+            if not none and not 0 <= action.start <= action.end < len(self.goal.tokens):
                 raise ValueError(
                     f"step {t} copies words {action.start}..{action.end} of a goal with {len(self.goal.tokens)}"
                 )
