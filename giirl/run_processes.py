@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 
 import torch
 
@@ -20,6 +21,8 @@ from giirl.scoring import ScoreClient
 from giirl.spec import Purpose, Weights
 from giirl.transport import Keys
 from reward_service.service import RewardService, Scorer
+
+PORT_S = 20.0  # for a port that another process of this machine was given in the meantime
 
 
 def settle(config: str) -> Config:
@@ -110,9 +113,16 @@ class RewardProcess:
         return self._metrics.serve(self._config.metrics.host)
 
     def open(self, host: str, port: int, keys: Keys | None) -> str:
-        """Bind; a service that was started anew takes its old port again."""
-        self._service = RewardService(self._scorer, host=host, port=port, keys=keys, metrics=self._metrics)
-        return self._service.address
+        """Bind; a service that was started anew takes its old port again, as soon as whoever has it lets go."""
+        deadline_s = time.monotonic() + PORT_S
+        while True:
+            try:
+                self._service = RewardService(self._scorer, host=host, port=port, keys=keys, metrics=self._metrics)
+                return self._service.address
+            except ValueError:
+                if time.monotonic() > deadline_s:
+                    raise
+                time.sleep(0.1)
 
     def run(self) -> None:
         """Answer until stopped."""

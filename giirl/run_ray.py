@@ -19,7 +19,7 @@ from threading import Event
 from typing import Any
 
 import ray
-from ray.exceptions import GetTimeoutError, RayError
+from ray.exceptions import RayError
 
 from giirl.config import Config, dump_config
 from giirl.metrics import Metrics
@@ -59,30 +59,35 @@ class Member:
         self.given_up = ""  # why it is not started again
         self.address = ""  # of its metrics, once known
         self._loading: Any = None
-        self._start()
-
-    def _start(self) -> None:
         self.since_s = time.monotonic()
-        self.running = self._begin(self.restarts)
-        self._address = self.handle.metrics_address.remote()
+        self.running: Any = begin(0)  # None while the process is away
+        self._asked = handle.metrics_address.remote()
 
     def tend(self) -> None:
         """Start again what ended, unless it ends as soon as it starts."""
-        if not self.address and ray.wait([self._address], timeout=0)[0]:
-            self.address = _ask(self._address, STOP_S, "")
-        if self.given_up or not ray.wait([self.running], timeout=0)[0]:
+        if self.given_up:
             return
-        trouble = _why(self.running)
-        early = time.monotonic() - self.since_s < CRASH_S
-        self._crashes = self._crashes + 1 if early else 1
+        if self.running is not None and ray.wait([self.running], timeout=0)[0]:
+            self._note_end(_why(self.running))
+        elif not self.address and ray.wait([self._asked], timeout=0)[0]:
+            self.address = _ask(self._asked, STOP_S)
+            if not self.address:
+                self._asked = self.handle.metrics_address.remote()  # Ray refuses calls while it starts a process
+            elif self.running is None:
+                self.since_s = time.monotonic()
+                self.running = self._begin(self.restarts)
+
+    def _note_end(self, trouble: str) -> None:
+        self._crashes = self._crashes + 1 if time.monotonic() - self.since_s < CRASH_S else 1
         if self._crashes >= CRASHES:
             self.given_up = trouble
             LOG.error("%s is given up after ending %d times at once: %s", self.name, CRASHES, trouble)
             return
         LOG.warning("%s ended and is started again: %s", self.name, trouble)
         self.restarts += 1
-        self.address, self._loading = "", None
-        self._start()
+        self.address, self._loading, self.running = "", None, None
+        self.since_s = time.monotonic()
+        self._asked = self.handle.metrics_address.remote()
 
     def load(self, weights: Any) -> None:
         """Send weights, unless the last ones have not been taken yet: then these are skipped."""
@@ -113,6 +118,7 @@ class RayRuntime:
         self._ingest = Ingest(
             run,
             lambda: self._version,
+            reward_version=lambda: self._version,
             host=self._host,
             limits=IngestLimits(credits=config.stream.credits, max_lag=config.stream.policy_lag),
             keys=self._keys,
@@ -174,8 +180,9 @@ class RayRuntime:
         members = [*self._actors, *([self._service] if self._service else [])]
         for member in members:
             member.handle.stop.remote()
-        if members:
-            ray.wait([member.running for member in members], num_returns=len(members), timeout=STOP_S)
+        running = [member.running for member in members if member.running is not None]
+        if running:
+            ray.wait(running, num_returns=len(running), timeout=STOP_S)
         self._ingest.close()
         ray.shutdown()
 
@@ -227,9 +234,9 @@ class RayRuntime:
 
     def _place(self, answer: Any, what: str) -> str:
         """Wait for a process's first answer."""
-        found: str = _ask(answer, START_S, None)
+        found = _ask(answer, START_S)
         if not found:
-            raise RuntimeError(f"Ray did not start {what} within {START_S:.0f} s; it has {_resources()}")
+            raise RuntimeError(f"{what} did not start within {START_S:.0f} s: {_why(answer)}; Ray has {_resources()}")
         return found
 
 
@@ -237,14 +244,11 @@ def _connect(config: Config) -> None:
     """Start Ray on this machine alone, or join the cluster that this process was started in."""
     quiet: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
     terminated = signal.getsignal(signal.SIGTERM)
-    try:
-        _init(config, quiet)
-    finally:
-        signal.signal(signal.SIGTERM, terminated)  # Ray puts its own in place, which ends a run unsaved
+    _init(config, quiet)
+    signal.signal(signal.SIGTERM, terminated)  # Ray puts its own in place, which ends a run unsaved
 
 
 def _init(config: Config, quiet: dict[str, Any]) -> None:
-    """The call itself, as the runtime needs it."""
     if config.runtime == "ray":
         ray.init(address="auto", **quiet)
         return
@@ -269,11 +273,12 @@ def _node() -> str:
     return str(ray.util.get_node_ip_address())  # type: ignore[no-untyped-call]
 
 
-def _ask(answer: Any, timeout_s: float, otherwise: Any) -> Any:
+def _ask(answer: Any, timeout_s: float) -> str:
+    """What a process says, "" when it does not."""
     try:
-        return ray.get(answer, timeout=timeout_s)
-    except (GetTimeoutError, ray.exceptions.RayActorError):
-        return otherwise
+        return str(ray.get(answer, timeout=timeout_s))
+    except RayError:
+        return ""
 
 
 def _why(answer: Any) -> str:
