@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -36,6 +37,8 @@ class Schedule:
 
     STAY = 10  # episodes a tab plays of one task before it opens another page, when tasks outnumber tabs
 
+    LOSSES = 3  # of one episode, after which it counts as played
+
     def __init__(
         self,
         tasks: Sequence[str],
@@ -53,6 +56,7 @@ class Schedule:
         self._dealt = dict.fromkeys(tasks, 0)
         self._turn = [0] * tabs
         self._returned: list[EpisodeSpec] = []
+        self._losses: Counter[EpisodeSpec] = Counter()
 
     def next(self, tab: int) -> EpisodeSpec | None:
         """The tab's next episode, or None when its tasks are used up."""
@@ -71,8 +75,10 @@ class Schedule:
         return EpisodeSpec(task=task, seed=page_seed(self._purpose, self._run_seed, index))
 
     def give_back(self, spec: EpisodeSpec) -> None:
-        """An episode that was lost is played again."""
-        self._returned.append(spec)
+        """An episode that was lost is played again, unless it always is: a page may break whatever opens it."""
+        self._losses[spec] += 1
+        if self._losses[spec] < self.LOSSES:
+            self._returned.append(spec)
 
 
 @dataclass(slots=True)

@@ -77,12 +77,6 @@ class Worker:
             time.sleep(PAUSE_S)
         self._uplink.flush(max(0.0, deadline_s - time.monotonic()))
 
-    def close(self) -> None:
-        """Let go of browser and sockets."""
-        self._scorer.close()
-        self._uplink.close()
-        self._browser.close()
-
     def _tend(self) -> None:
         """Pass on what has been scored; what could not be goes unscored, and the learner scores it."""
         for episode, rewards, version in self._scorer.poll():

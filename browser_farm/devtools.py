@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 
 import websocket
 
+SEND_S = 5.0  # for Chrome to read what is written to it
 BROWSER = ""  # the session that speaks to the browser itself instead of to a tab
 
 Json = dict[str, Any]
@@ -124,6 +125,7 @@ class DevTools:
         if session:
             message["sessionId"] = session
         try:
+            self._socket.settimeout(SEND_S)  # not what is left of some earlier wait
             self._socket.send(json.dumps(message))
         except (OSError, websocket.WebSocketException) as error:
             raise BrowserGone(f"Chrome closed its debugger connection: {error}") from error

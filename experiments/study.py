@@ -24,13 +24,19 @@ from giirl.statistics import Score
 def main() -> None:
     arguments = _arguments()
     variants: list[list[str]] = arguments.variant or [["default"]]
-    study: dict[str, Any] = {"command": " ".join(["python", *sys.argv]), "runs": []}
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    study: dict[str, Any] = {"commands": [], "runs": []}
     if arguments.out.exists():
-        study["runs"] = json.loads(arguments.out.read_text())["runs"]
+        study = json.loads(arguments.out.read_text())
+    command = " ".join(["python", *sys.argv])
+    study["commands"] += [command] if command not in study["commands"] else []
     for name, *changes in variants:
         for seed in arguments.seeds:
-            if not any(run["variant"] == name and run["seed"] == seed for run in study["runs"]):
-                study["runs"].append(_run(arguments.config, name, [*arguments.set, *changes], seed))
+            settings = [*arguments.set, *changes]
+            if not any(
+                (run["variant"], run["seed"], run["changes"]) == (name, seed, settings) for run in study["runs"]
+            ):
+                study["runs"].append(_run(arguments.config, name, settings, seed))
                 with whole_file(arguments.out) as file:
                     file.write(json.dumps(study, indent=1).encode() + b"\n")
     sys.stdout.write(_table(study["runs"]))
@@ -58,8 +64,8 @@ def _run(config: Path, variant: str, changes: list[str], seed: int) -> dict[str,
             return {"variant": variant, "changes": changes, "seed": seed, "failed": ended.stderr.splitlines()[-1:]}
         found: dict[str, Any] = json.loads(result.read_text())
         toggle = [*giirl, "reward", "toggle", str(run), "--pages", "500", "--json", str(result)]
-        if "click-button" in found["tasks"] and found["algorithm"] == "giirl":
-            subprocess.run(toggle, capture_output=True, text=True, check=True)
+        asked = "click-button" in found["tasks"] and found["algorithm"] == "giirl"
+        if asked and subprocess.run(toggle, capture_output=True, check=False).returncode == 0:
             found["toggle"] = json.loads(result.read_text())
         curve = [json.loads(line) for line in (run / "curve.jsonl").read_text().splitlines()]
     return {"variant": variant, "changes": changes, "episodes_to_95": _reached(curve, 0.95), **found}
@@ -80,7 +86,7 @@ def _reached(curve: list[dict[str, Any]], share: float, window: int = 50) -> dic
 
 
 def _table(runs: list[dict[str, Any]]) -> str:
-    """Markdown: a line a run, then one for all seeds of a variant together."""
+    """Markdown: a line a run, then for each variant all its episodes together with the Wilson interval of those."""
     done = [run for run in runs if "tasks" in run]
     tasks = list(done[0]["tasks"]) if done else []
     lines = ["| variant | seed | " + " | ".join(tasks) + " | lowest, last third | own / swapped goal | s |"]
@@ -96,13 +102,14 @@ def _table(runs: list[dict[str, Any]]) -> str:
         lines.append(f"| {run['variant']} | {run['seed']} | {success} | {lowest} | {goals} | {run['seconds']:.0f} |")
     for variant in dict.fromkeys(run["variant"] for run in done):
         mine = [run["tasks"] for run in done if run["variant"] == variant]
+        asked = sum(run["variant"] == variant for run in runs)
         cells = []
         for task in tasks:
             episodes = sum(run[task]["episodes"] for run in mine)
             won = sum(round(run[task]["success"] * run[task]["episodes"]) for run in mine)
             low, high = Score(episodes=episodes, successes=won).interval()
             cells.append(f"{100 * won / episodes:.2f} ({100 * low:.1f}-{100 * high:.1f})")
-        lines.append(f"| **{variant}** | all {len(mine)} | " + " | ".join(cells) + " | | | |")
+        lines.append(f"| **{variant}** | {len(mine)} of {asked} | " + " | ".join(cells) + " | | | |")
     return "\n".join(lines) + "\n"
 
 

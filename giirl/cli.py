@@ -12,13 +12,15 @@ import click
 from rich.table import Column, Table
 
 from giirl.cli_demos import demos, writable
-from giirl.config import Config, changed, load_config
+from giirl.config import Config, changed, dump_config, load_config
 from giirl.doctor import checks
 from giirl.progress import Display
+from giirl.run_folder import RunFolder
 
 RUN = click.argument("run", type=click.Path(path_type=Path))
 CONFIG = click.argument("config", required=False)
 OVERRIDES = click.argument("overrides", nargs=-1)
+RESUMABLE = ("iterations", "checkpoint_every", "keep_checkpoints", "evaluate.", "metrics.")
 JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write the result here.")
 
 
@@ -59,16 +61,14 @@ def train(
     """
     from giirl.run import Stopped, train
     from giirl.run_evaluate import result_table
-    from giirl.run_folder import RunFolder
     from learner.checkpoint import latest_checkpoint
 
     display = Display()
     writable(json_file)
     path, changes = _split(config, overrides, runtime)
     if resume is not None:
-        if path is not None or changes:
-            raise ValueError("--resume goes on with the run's own config: it takes no CONFIG and no key=value")
         folder, settings = RunFolder.open(resume)
+        settings = _prolonged(folder, settings, path, changes)
         checkpoint = latest_checkpoint(folder.checkpoints)
         display.say(f"resuming {folder.path} from {checkpoint.name}")
     else:
@@ -76,7 +76,7 @@ def train(
         check_tasks(settings)
         folder = RunFolder.create(settings, path.stem if path else "giirl")
         display.say(f"run folder {folder.path}, every setting in its {folder.config_file.name}")
-        display.say(f"not the defaults: {' '.join(changed(settings))}")
+        display.say(f"not the defaults: {' '.join(changed(settings)) or 'none'}")
     try:
         result = train(settings, folder, checkpoint, display)
     except Stopped:
@@ -102,7 +102,6 @@ def evaluate(run: Path, overrides: tuple[str, ...], json_file: Path | None) -> N
 
     from giirl.metrics import Metrics
     from giirl.run_evaluate import evaluate, result_table
-    from giirl.run_folder import RunFolder
     from learner.checkpoint import latest_checkpoint
 
     writable(json_file)
@@ -138,7 +137,6 @@ def reward() -> None:
 def toggle(run: Path, task: str, pages: int, json_file: Path | None) -> None:
     """How often the reward ranks the goal's button first, and after the goal names another, that one."""
     from giirl.metrics import Metrics
-    from giirl.run_folder import RunFolder
     from giirl.run_toggle import toggle
     from learner.checkpoint import latest_checkpoint
 
@@ -146,6 +144,8 @@ def toggle(run: Path, task: str, pages: int, json_file: Path | None) -> None:
     folder, _ = RunFolder.open(run)
     config = load_config(folder.config_file, [f'tasks=["{task}"]'])
     check_tasks(config)
+    if config.algorithm != "giirl":
+        raise ValueError(f"{run} learned no reward: its algorithm is {config.algorithm!r}, wanted 'giirl'")
     weights = folder.weights(latest_checkpoint(folder.checkpoints), "reward")
     result = toggle(config, weights, task, pages, Metrics(), Display())
     for path in _some(json_file):
@@ -168,6 +168,18 @@ def check_tasks(config: Config) -> None:
             fake.check_task(task)
         else:
             miniwob.page_url(task)
+
+
+def _prolonged(folder: RunFolder, config: Config, path: Path | None, changes: list[str]) -> Config:
+    """The run's own config; only how long it goes on and how it is measured may change, and is then saved."""
+    free = [key for key in (change.partition("=")[0] for change in changes) if not key.startswith(RESUMABLE)]
+    if path is not None or free:
+        what = f"CONFIG {path}" if path is not None else free[0]
+        raise ValueError(f"--resume goes on with the run's own config: {what} is fixed, wanted only {RESUMABLE}")
+    if changes:
+        config = load_config(folder.config_file, changes)
+        folder.write(folder.config_file, dump_config(config))
+    return config
 
 
 def _split(config: str | None, overrides: tuple[str, ...], runtime: str | None) -> tuple[Path | None, list[str]]:

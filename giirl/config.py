@@ -56,9 +56,9 @@ class ActorConfig:
 class StreamConfig:
     """How far ahead actors may run, and how old a trajectory may be."""
 
-    credits: Positive = 32  # trajectories an actor may have under way
+    credits: Annotated[int, Field(ge=1, le=256)] = 32  # trajectories an actor may have under way
     policy_lag: Annotated[int, Field(ge=0)] = 8  # versions; older ones are dropped and counted
-    reward_lag: Annotated[int, Field(ge=0)] = 1  # versions; older rewards are computed again
+    reward_lag: Annotated[int, Field(ge=0)] = 1  # versions behind the one in the making; older are computed again
     take_timeout_s: Seconds = 120.0  # the run gives up when the actors send nothing for so long
 
 
@@ -72,13 +72,15 @@ class DiscriminatorConfig:
 
     reward: Literal["logit", "d", "log_d"] = "logit"
     clip: Annotated[float, Field(gt=0)] = 5.0  # bound on the logit, nats
-    learning_rate: Annotated[float, Field(gt=0)] = 1e-3
+    learning_rate: Annotated[float, Field(gt=0)] = 1e-3  # of the first iteration
+    final_rate: Share = 0.1  # of it in the last one; in between it falls in a straight line
     updates: Positive = 2  # per iteration
     batch: Positive = 64  # expert steps per update, and as many of every kind of negative
     rollouts: Weight = 0.25  # steps of the newest rollouts
     replay: Weight = 0.25  # steps of older rollouts
     replay_size: Positive = 4096  # trajectories kept, a uniform sample of all so far
     demo_states: Weight = 0.5  # the policy's own actions on demonstration states
+    chance: Weight = 0.5  # actions drawn at random, on the experts' and the policy's pages alike
     wrong_goal: Weight = 0.25  # expert steps under another goal of the same task
     rename: Share = 0.5  # chance that a sample's words are consistently replaced
     jitter: Weight = 0.1  # shift of such a sample's positions, in pages
@@ -86,12 +88,17 @@ class DiscriminatorConfig:
     dropout: Share = 0.0
     weight_decay: Weight = 0.0
 
+    def __post_init__(self) -> None:
+        if not self.rollouts + self.replay + self.demo_states + self.chance + self.wrong_goal:
+            raise ValueError("all sources of negatives weigh 0; wanted at least one, rollouts=1 for plain Algorithm 1")
+
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
 class PolicyConfig:
     """Entropy-regularised, off-policy corrected actor-critic (eq. 3.1; V-trace, Espeholt et al. 2018)."""
 
-    learning_rate: Annotated[float, Field(gt=0)] = 1e-3
+    learning_rate: Annotated[float, Field(gt=0)] = 1e-3  # of the first iteration
+    final_rate: Share = 0.1  # of it in the last one
     updates: Positive = 1  # per iteration
     gamma: Share = 0.9
     entropy: Annotated[float, Field(gt=0)] = 0.15  # alpha of eq. 3.1, nats of reward per nat of entropy
@@ -224,7 +231,7 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         text = path.read_text()
     except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"cannot read the config {path}: {error}") from None
+        raise ValueError(f"cannot read the config {path}: {error}; settings are given as key=value") from None
     try:
         tree = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
     except ValueError as error:

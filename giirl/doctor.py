@@ -12,10 +12,12 @@ import shutil
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+
+from browser_farm.chrome import CHROMES, DRIVERS
 
 GIB = 1 << 30
 WANTED_PYTHON = (3, 11)
@@ -61,8 +63,8 @@ class Check:
 
 def checks(demonstrations: Path | None = None) -> list[Check]:
     """Look at everything a run needs, without the network; `demonstrations` only where a folder is given."""
-    chrome = program("Chromium", "GIIRL_CHROME", "chromium", package="chromium")
-    driver = program("chromedriver", "GIIRL_CHROMEDRIVER", "chromedriver", package="chromium-driver")
+    chrome = program("Chromium", "GIIRL_CHROME", CHROMES, package="chromium")
+    driver = program("chromedriver", "GIIRL_CHROMEDRIVER", DRIVERS, package="chromium-driver")
     found = [python(), chrome, driver, same_major(chrome, driver)]
     found += [package(distribution, module) for distribution, module in PACKAGES]
     found += [pages(), glove(), cores(), memory(), shared_memory(Path("/dev/shm")), loopback()]
@@ -81,15 +83,15 @@ def python() -> Check:
     )
 
 
-def program(name: str, variable: str, default: str, *, package: str) -> Check:
+def program(name: str, variable: str, names: Sequence[str], *, package: str) -> Check:
     """A program that says its version when asked, on PATH or where the environment variable points."""
-    wanted = os.environ.get(variable, default)
-    path = shutil.which(wanted)
+    wanted = [os.environ[variable]] if variable in os.environ else names
+    path = next((path for path in map(shutil.which, wanted) if path), None)
     mend = f"make install, or: apt-get install {package}"
     if path is None:
         if variable in os.environ:
             mend = f"unset {variable}, or let it name the program"
-        return Check(name=name, ok=False, found=f"no program {wanted!r}", mend=mend)
+        return Check(name=name, ok=False, found=f"no program {wanted[0]!r}", mend=mend)
     try:
         answer = subprocess.run(
             [path, "--version"], capture_output=True, text=True, timeout=VERSION_DEADLINE_S, check=True

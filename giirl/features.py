@@ -63,10 +63,7 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
         lower = {word.lower() for word in read}
         on_page |= lower
         whole, held = _cover(tokens, text), _cover(tokens, value)
-        any_word = np.array([token in lower for token in folded], dtype=np.float32)
-        matches[0, e], matches[2, e] = whole, held
-        if any_word.any():
-            matches[1, e] = any_word / any_word.sum()
+        matches[:, e] = whole, [token in lower for token in folded], held
         flags[e, 4:] = (
             page.focused[e],
             page.tampered[e],

@@ -95,11 +95,6 @@ class Metrics:
         return Histogram(name, text, labels, buckets=buckets, registry=self.registry)
 
 
-def serve(metrics: Metrics, host: str = "127.0.0.1", port: int = 0) -> str:
-    """Answer scrapes of `metrics` until `metrics.close()`. Returns "host:port"."""
-    return metrics.serve(host, port)
-
-
 @contextmanager
 def timed_update(metrics: Metrics, network: str) -> Iterator[None]:
     """Count this block as one gradient update of `network`, with its time."""
@@ -120,8 +115,11 @@ def waiting(metrics: Metrics, what: str) -> Iterator[None]:
         metrics.waiting_seconds.labels(what).inc(time.monotonic() - since_s)
 
 
-def write_targets(path: Path, targets: Mapping[str, str]) -> None:
-    """Tell Prometheus (file_sd) where to scrape: job -> "host:port"."""
-    groups = [{"targets": [address], "labels": {"job": job}} for job, address in sorted(targets.items())]
+def write_targets(path: Path, run: str, targets: Mapping[str, str]) -> None:
+    """Tell Prometheus (file_sd) where to scrape a run: process -> "host:port"."""
+    groups = [
+        {"targets": [address], "labels": {"job": "giirl", "run": run, "process": process}}
+        for process, address in sorted(targets.items())
+    ]
     with whole_file(path) as file:
         file.write(json.dumps(groups, indent=2).encode() + b"\n")

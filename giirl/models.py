@@ -162,7 +162,7 @@ class Policy(nn.Module):
     def evaluate(self, batch: Batch, actions: ActionBatch) -> tuple[Tensor, Tensor, Tensor]:
         """log pi(a | s, g) [B, M] in nats, the entropy of pi(. | s, g) [B] in nats, and V(s, g) [B].
 
-        The entropy of the copied words is that at the field of the first action, an unbiased sample of the whole.
+        The entropy of the copied words is that at the field of the first action, if it types.
         """
         seen: Encoding = self.encoder(batch)
         pairs = self._pairs(batch, seen)

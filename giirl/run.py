@@ -75,7 +75,7 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
     return {
         "tasks": tasks,
         "env_steps": session.env_steps,
-        "seconds": round(time.monotonic() - since_s, 1),
+        "seconds": round(session.seconds_before + time.monotonic() - since_s, 1),
         "algorithm": config.algorithm,
         "seed": config.seed,
         "training_episodes": session.episodes,
@@ -105,7 +105,9 @@ class Session:
         self._fresh: list[Episode] = []
         self._targets: dict[str, str] = {}
         self._recent = {task: deque[int](maxlen=WINDOW) for task in config.tasks}
-        self.env_steps = 0
+        self._since_s = time.monotonic()
+        self.seconds_before = 0.0  # of the sessions that this one resumes
+        self.env_steps = 0  # of the episodes that the learner took
         self.episodes = 0
 
     def learn(self, resume: Path | None) -> None:
@@ -114,6 +116,7 @@ class Session:
         self._folder.cut_curve(learner.version)
         for point in self._folder.points():
             self.env_steps, self.episodes = point["env_steps"], point["episodes"]
+            self.seconds_before = point["seconds"]
         if learner.version >= config.iterations:
             return
         with self._display.busy(f"starting the {config.runtime} runtime"):
@@ -131,8 +134,13 @@ class Session:
         except Stopped:
             self._save()
             raise
+        except RuntimeError as error:
+            self._save()
+            again = f"giirl train --resume {self._folder.path}"
+            raise RuntimeError(f"{error}; step {learner.version} is saved, to go on: {again}") from error
         finally:
             self._runtime.close()
+            write_targets(self._folder.targets, self._folder.path.name, {})  # nobody is there to be scraped any more
 
     def take(self, episodes: int) -> list[Trajectory]:
         """Rollouts for Algorithm 1. Their outcomes stay here, for the report."""
@@ -143,7 +151,7 @@ class Session:
         self._fresh = taken
         return [episode.trajectory for episode in taken]
 
-    def lowest_last_third(self) -> dict[str, float]:
+    def lowest_last_third(self) -> dict[str, float | None]:
         """Per task, the lowest success over WINDOW sampled episodes in a row in the last third of training."""
         points = [p for p in self._folder.points() if p["step"] > 2 * self._config.iterations / 3]
         return {
@@ -154,6 +162,7 @@ class Session:
     def _steps(self) -> Iterator[int]:
         for step in range(self._learner.version, self._config.iterations):
             _raise_if(self._stop)
+            self._learner.anneal(step)
             yield step
 
     def _observe(self, step: int, stats: dict[str, float]) -> None:
@@ -169,7 +178,8 @@ class Session:
         outcomes: dict[str, list[int]] = {task: [] for task in self._config.tasks}
         for episode in self._fresh:
             outcomes[episode.trajectory.task].append(int(episode.outcome.success))
-        counts = {"step": step + 1, "env_steps": self.env_steps, "episodes": self.episodes}
+        seconds = round(self.seconds_before + time.monotonic() - self._since_s, 1)
+        counts = {"step": step + 1, "env_steps": self.env_steps, "episodes": self.episodes, "seconds": seconds}
         self._folder.append_curve({**counts, "outcomes": outcomes, **{k: round(v, 4) for k, v in stats.items()}})
         self._job.advance(1, self._note(outcomes))
         self._tell_targets()
@@ -200,7 +210,7 @@ class Session:
         assert self._runtime is not None
         targets = {"learner": self._own_address, **self._runtime.addresses()}
         if targets != self._targets:
-            write_targets(self._folder.targets, targets)
+            write_targets(self._folder.targets, self._folder.path.name, targets)
             for name in targets.keys() - self._targets.keys():
                 self._display.say(f"metrics of {name}: http://{targets[name]}/metrics")
             self._targets = targets

@@ -49,9 +49,10 @@ class RunFolder:
         return folder, load_config(folder.config_file)
 
     def discard_unless_begun(self) -> None:
-        """Take back `create` where a run failed before it had demonstrations: the mended command finds no folder."""
-        if not self.demonstrations.exists():
-            self.config_file.unlink(missing_ok=True)
+        """Take back `create` where a run failed before its first checkpoint: the mended command finds no folder."""
+        if not self.checkpoints.exists():
+            for path in (self.config_file, self.demonstrations, self.targets):
+                path.unlink(missing_ok=True)
             if not any(self.path.iterdir()):
                 self.path.rmdir()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 import time
+from contextlib import ExitStack
 
 import torch
 
@@ -39,6 +40,7 @@ class ActorProcess:
         self._run, self._index, self._keys = run, index, keys
         self._metrics = Metrics()
         self._worker: Worker | None = None
+        self._newest: Weights | None = None
         self._stopped = threading.Event()
 
     def metrics_address(self) -> str:
@@ -49,48 +51,46 @@ class ActorProcess:
         config, metrics = self._config, self._metrics
         chooser = NetChooser(build_policy(config), load_vectors(config.net.vectors))
         chooser.load(weights)
-        browser = open_browser(config, metrics)
-        name = f"actor-{self._index}"
-        schedule = Schedule(
-            config.tasks,
-            browser.tabs,
-            purpose=Purpose.TRAIN,
-            run_seed=config.seed,
-            first=first + self._index,
-            stride=config.actors.count,
-        )
-        uplink = Uplink(
-            learner,
-            run=self._run,
-            actor=name,
-            incarnation=incarnation,
-            limits=UplinkLimits(pause_at=config.stream.credits),
-            keys=self._keys,
-        )
-        client = ScoreClient(
-            scorer,
-            identity=f"{name}#{incarnation}",
-            timeout_s=config.actors.score_timeout_s,
-            keys=self._keys,
-        )
-        worker = Worker(
-            browser,
-            chooser,
-            schedule,
-            client,
-            uplink,
-            limits=WorkerLimits(step_limit=config.step_limit),
-            metrics=metrics,
-        )
-        self._worker = worker
-        if self._stopped.is_set():
-            worker.stop()
-        try:
+        name, count = f"actor-{self._index}", config.actors.count
+        with ExitStack() as open_things:
+            browser = open_browser(config, metrics)
+            open_things.callback(browser.close)
+            schedule = Schedule(
+                config.tasks,
+                browser.tabs,
+                purpose=Purpose.TRAIN,
+                run_seed=config.seed,
+                first=-(-first // count) * count + self._index,  # pages of this actor alone
+                stride=count,
+            )
+            uplink = Uplink(
+                learner,
+                run=self._run,
+                actor=name,
+                incarnation=incarnation,
+                limits=UplinkLimits(pause_at=config.stream.credits),
+                keys=self._keys,
+            )
+            open_things.callback(uplink.close)
+            client = ScoreClient(
+                scorer,
+                identity=f"{name}#{incarnation}",
+                timeout_s=config.actors.score_timeout_s,
+                keys=self._keys,
+            )
+            open_things.callback(client.close)
+            limits = WorkerLimits(step_limit=config.step_limit)
+            worker = Worker(browser, chooser, schedule, client, uplink, limits=limits, metrics=metrics)
+            self._worker = worker
+            if self._newest is not None:
+                worker.load(self._newest)
+            if self._stopped.is_set():
+                worker.stop()
             worker.run()
-        finally:
-            worker.close()
 
     def load(self, weights: Weights) -> None:
+        """Newer weights; those that come while the browser starts wait for it."""
+        self._newest = weights
         if self._worker is not None:
             self._worker.load(weights)
 

@@ -13,7 +13,6 @@ import secrets
 import signal
 import time
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -26,8 +25,8 @@ from giirl.metrics import Metrics
 from giirl.run_processes import ActorProcess, RewardProcess
 from giirl.spec import Episode, Weights
 from giirl.transport import Keys
-from giirl.wire import read_episodes, write_episodes
-from learner.admission import Held, IngestLimits, Mark
+from learner.admission import IngestLimits
+from learner.held import Held
 from learner.ingest import Ingest
 
 LOG = logging.getLogger(__name__)
@@ -36,6 +35,7 @@ STOP_S = 10.0  # for a process to hand over and end
 TEND_S = 0.5  # between two looks at the processes
 CRASHES = 5  # in a row, each within CRASH_S of its start: then the process is given up
 CRASH_S = 30.0
+RUNTIME = "runtime.json"  # of a checkpoint
 
 
 class ActorOnRay(ActorProcess):
@@ -75,7 +75,10 @@ class Member:
                 self._asked = self.handle.metrics_address.remote()  # Ray refuses calls while it starts a process
             elif self.running is None:
                 self.since_s = time.monotonic()
-                self.running = self._begin(self.restarts)
+                try:
+                    self.running = self._begin(self.restarts)
+                except RuntimeError as error:  # it ended again before it began
+                    self._note_end(str(error))
 
     def _note_end(self, trouble: str) -> None:
         self._crashes = self._crashes + 1 if time.monotonic() - self.since_s < CRASH_S else 1
@@ -110,11 +113,13 @@ class RayRuntime:
         self._config, self._metrics, self._run, self._stop = config, metrics, run, stop
         self._host = "127.0.0.1" if alone else _node()
         self._keys = None if alone else Keys.make()  # beyond loopback nobody talks without them
-        self._version, self._taken = 0, 0
+        self._version = 0
         self._policy: Any = None
         self._reward: Any = None
-        self._begun_s = int(time.time())  # so incarnations grow, also when the learner was started again
-        self._held = _load_held(resume) if resume else Held()
+        self._held = Held.load(resume) if resume else Held()
+        self._taken: int = json.loads((resume / RUNTIME).read_text())["taken"] if resume else 0
+        known = [mark.incarnation for mark in self._held.marks]
+        self._first = max([int(time.time()), *(incarnation + 1 for incarnation in known)])  # incarnations only grow
         self._ingest = Ingest(
             run,
             lambda: self._version,
@@ -167,9 +172,8 @@ class RayRuntime:
     def save(self, folder: Path) -> None:
         """What the learner has accepted and not used yet, and what it has seen of every actor."""
         self._held = self._ingest.snapshot()
-        write_episodes(folder / "queue.giirl", list(self._held.episodes))
-        marks = [asdict(mark) for mark in self._held.marks]
-        (folder / "runtime.json").write_text(json.dumps({"marks": marks, "taken": self._taken}))
+        self._held.save(folder)
+        (folder / RUNTIME).write_text(json.dumps({"taken": self._taken}))
 
     def committed(self) -> None:
         """The last `save` is safe on the disk: actors may forget what it covers."""
@@ -183,8 +187,10 @@ class RayRuntime:
         running = [member.running for member in members if member.running is not None]
         if running:
             ray.wait(running, num_returns=len(running), timeout=STOP_S)
-        self._ingest.close()
-        ray.shutdown()
+        try:
+            self._ingest.close()
+        finally:
+            ray.shutdown()
 
     def _start_service(self) -> Member:
         process = ray.remote(RewardOnRay).options(num_cpus=0, max_restarts=-1, max_concurrency=4)
@@ -204,7 +210,7 @@ class RayRuntime:
         handle: Any = process.remote(dump_config(self._config), self._run, index, self._keys)
 
         def begin(restarts: int) -> Any:
-            incarnation = self._begun_s + restarts
+            incarnation = self._first + restarts
             return handle.run.remote(incarnation, self._taken, self._ingest.address, self._scorer, self._policy)
 
         return Member(f"actor-{index}", handle, begin)
@@ -289,13 +295,3 @@ def _why(answer: Any) -> str:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         return lines[-1] if lines else type(error).__name__
     return "it returned"
-
-
-def _load_held(folder: Path) -> Held:
-    """The inverse of `RayRuntime.save`."""
-    state = json.loads((folder / "runtime.json").read_text())
-    marks = tuple(
-        Mark(actor=m["actor"], incarnation=m["incarnation"], floor=m["floor"], judged=tuple(m["judged"]))
-        for m in state["marks"]
-    )
-    return Held(episodes=tuple(read_episodes(folder / "queue.giirl")), marks=marks)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Protocol
@@ -31,9 +31,8 @@ class Purpose(IntEnum):
     TRAIN = 1
     DEMONSTRATE = 2
     EVALUATE = 3
-    TUNE = 4
-    INSPECT = 5
-    FLOOR = 6
+    INSPECT = 4
+    FLOOR = 5
 
 
 def page_seed(purpose: Purpose, run_seed: int, index: int) -> int:
@@ -263,19 +262,7 @@ class Weights:
             )
 
 
-class Rewarder(Protocol):
-    """Scores trajectories: r(s_t, a_t | g) for every step, with the version of the reward that did."""
-
-    def score(self, trajectories: Sequence[Trajectory]) -> tuple[list[NDArray[np.float32]], int]: ...
-
-
 class TrajectorySource(Protocol):
     """Where Algorithm 1 gets its rollouts from."""
 
     def take(self, episodes: int) -> list[Trajectory]: ...
-
-
-class WeightSink(Protocol):
-    """Where Algorithm 1 sends what it has learned."""
-
-    def publish(self, policy: Weights, reward: Weights) -> None: ...

@@ -28,11 +28,11 @@ class Score:
         return max(0.0, centre - half), min(1.0, centre + half)
 
 
-def lowest_window(successes: Sequence[bool], window: int) -> float:
-    """The lowest mean over `window` outcomes in a row, or over all of them where there are fewer."""
+def lowest_window(successes: Sequence[bool], window: int) -> float | None:
+    """The lowest mean over `window` outcomes in a row, or over all of them where there are fewer; None of none."""
     width = min(window, len(successes))
     if width == 0:
-        return math.nan
+        return None
     total = lowest = sum(successes[:width])
     for i in range(width, len(successes)):
         total += successes[i] - successes[i - width]

@@ -23,7 +23,7 @@ import numpy as np
 from giirl import columns as cols
 from giirl.columns import Column, Columns, take
 from giirl.files import whole_file
-from giirl.spec import Episode, Outcome, Weights
+from giirl.spec import Episode, Outcome
 
 SCHEMA = 1
 MAGIC = b"GIRL"
@@ -142,24 +142,6 @@ def build_episode(header: Header, arrays: Columns) -> Episode:
             raise WireError(f"header field 'raw_reward' is {reward}, wanted a finite number")
         (trajectory,) = cols.unpack(arrays, [header])
         return Episode(trajectory=trajectory, outcome=Outcome(raw_reward=reward, ended=take(header, "ended", bool)))
-
-
-def encode_weights(weights: Weights) -> list[bytes]:
-    """A net's parameters."""
-    header = {"kind": "weights", "version": weights.version, "digest": weights.digest}
-    return encode(header, {"blob": np.frombuffer(weights.blob, dtype=np.uint8)})
-
-
-def decode_weights(frames: Sequence[bytes]) -> Weights:
-    """The inverse of `encode_weights`; the digest is checked."""
-    header, arrays = decode(frames)
-    expect(header, "weights")
-    with untrusted():
-        (blob,) = cols.flat(arrays, {"blob": "|u1"})
-        version, digest = take(header, "version", int), take(header, "digest", str)
-        weights = Weights(version=version, blob=blob.tobytes(), digest=digest)
-        weights.check()
-        return weights
 
 
 def write_episodes(path: Path, episodes: Sequence[Episode]) -> None:

@@ -23,9 +23,9 @@ class ActorCritic:
     """Maximises eq. 3.1, E[sum gamma^(t-1) r_t + alpha H(pi)], with two gradients on the states that rollouts visit.
 
     V-trace policy gradients on the actions taken; and since a learned reward can be asked about actions that
-    nobody took, a step towards the soft-optimal choice p(a) ~ exp(r(s, a | g) / alpha) among `asked` actions, half
-    of them the policy's and half chance. The first sees consequences, the second cannot get stuck: a policy that
-    never types still learns which words the reward would like to see typed.
+    nobody took, a step towards p(a) ~ exp(r(s, a | g) / alpha), the soft-optimal choice for the immediate reward,
+    among `asked` actions, half of them the policy's and half chance. The first sees consequences, the second does
+    not, but cannot get stuck: a policy that never types still learns what the reward would like to see typed.
     """
 
     def __init__(self, config: PolicyConfig, net: Policy, noise: torch.Generator, *, metrics: Metrics) -> None:

@@ -14,6 +14,7 @@ from giirl.delivery import Grant
 from giirl.metrics import Metrics
 from giirl.spec import DEMONSTRATION, UNSCORED, Episode
 from giirl.wire import Header, Stamp, WireError
+from learner.held import Held, Mark
 
 LOG = logging.getLogger(__name__)
 
@@ -28,24 +29,6 @@ class IngestLimits:
     def __post_init__(self) -> None:
         if self.credits < 1 or self.max_lag < 0:
             raise ValueError(f"{self} lets nothing in: wanted credits from 1 and max_lag from 0")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Mark:
-    """Which episodes of an actor have been judged: what a checkpoint remembers of it."""
-
-    actor: str
-    incarnation: int
-    floor: int  # every sequence below
-    judged: tuple[int, ...] = ()  # and these above it
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Held:
-    """What a checkpoint has to hold of the ingest: episodes accepted and not yet used, and all marks."""
-
-    episodes: tuple[Episode, ...] = ()
-    marks: tuple[Mark, ...] = ()
 
 
 @dataclass(slots=True, kw_only=True)

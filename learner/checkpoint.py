@@ -28,9 +28,12 @@ def save_checkpoint(folder: Path, step: int, write: Callable[[Path], None], keep
     manifest.write_text(json.dumps({"step": step, "sha256": hashes}, indent=2))
     _sync_and_hash(manifest)
     sync_folder(partial)
-    shutil.rmtree(final, ignore_errors=True)
+    aside = folder / f".partial-{step:08d}-old"
+    if final.exists():  # the same step again, after going back
+        final.rename(aside)
     partial.rename(final)
     sync_folder(folder)
+    shutil.rmtree(aside, ignore_errors=True)
     with whole_file(folder / LATEST) as file:
         file.write(final.name.encode())
     others = sorted(path for path in folder.glob("step-*") if path != final)  # later ones too, after going back

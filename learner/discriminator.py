@@ -59,13 +59,13 @@ class Discriminator:
         return stats
 
     def rewards(self, rollouts: Sequence[Example], version: int) -> list[Tensor]:
-        """r(s_t, a_t | g) [T] of every rollout, at most `reward_lag` versions behind `version`.
+        """r(s_t, a_t | g) [T] of every rollout, at most `reward_lag` versions behind `version`, the one in the making.
 
         Rewards that came with a rollout are the reward service's, from this very function and older weights.
         Those too old are computed again.
         """
         versions = [example.trajectory.reward_version for example in rollouts]
-        carried = [scored != UNSCORED and version - scored <= self._reward_lag for scored in versions]
+        carried = [scored != UNSCORED and 0 <= version - scored <= self._reward_lag for scored in versions]
         stale = [example for example, fresh in zip(rollouts, carried, strict=True) if not fresh]
         again = iter(self._score(stale))
         self._metrics.rewards_used.labels("service").inc(sum(carried))
@@ -95,23 +95,31 @@ class Discriminator:
         config, draw = self.config, self._draw
         shown = [pick_step(expert[i % len(expert)], draw) for i in range(config.batch)]
         sources = {EXPERT: (1.0, shown)}
+        new = [pick_step(rollouts[i], draw) for i in draw.integers(len(rollouts), size=config.batch)]
         if config.rollouts:
-            new = [pick_step(rollouts[i], draw) for i in draw.integers(len(rollouts), size=config.batch)]
             sources["rollouts"] = (config.rollouts, new)
         if config.replay:
             sources["replay"] = (config.replay, self.replay.sample(config.batch))
         if config.demo_states:
-            sources["demo_states"] = (config.demo_states, self._act(shown, policy))
+            sources["demo_states"] = (config.demo_states, self._act(shown, policy, by_chance=False))
+        if config.chance:
+            both = shown[::2] + new[1::2]
+            sources["chance"] = (config.chance, self._act(both, policy, by_chance=True))
         if config.wrong_goal:
             sources["wrong_goal"] = (config.wrong_goal, self.demos.wrong_goals(expert))
         return {name: (weight, steps) for name, (weight, steps) in sources.items() if steps}
 
     @torch.no_grad()
-    def _act(self, shown: Sequence[Step], policy: Policy) -> list[Step]:
-        """What the policy would do on the experts' pages: a difference that no memory of pages can explain."""
+    def _act(self, shown: Sequence[Step], policy: Policy, by_chance: bool) -> list[Step]:
+        """What the policy, or chance, would do on these pages.
+
+        The policy's actions on the experts' pages are a difference that no memory of pages can explain. Chance
+        keeps what is wrong wrong for as long as training lasts, on the policy's pages too, where a good policy
+        does nothing wrong any more and the right action would be the only one ever called a policy's.
+        """
         batch, _ = collate_steps(shown)
         uniform = torch.rand(len(shown), 1, 3, generator=self._noise)
-        actions, _ = policy.sample(batch, uniform)
+        actions, _ = policy.sample(batch, uniform, torch.tensor([by_chance]))
         return [Step(step.features, action) for step, action in zip(shown, actions.first(), strict=True)]
 
     def _descend(self, sources: dict[str, tuple[float, list[Step]]]) -> dict[str, float]:

@@ -69,10 +69,6 @@ class ExpertSampler:
                 right = self._right.setdefault((task, example.trajectory.goal.utterance), set())
                 right |= {_signature(example.trajectory, t) for t in range(len(example.trajectory))}
 
-    @property
-    def count(self) -> int:
-        return sum(len(examples) for examples in self._of_task.values())
-
     def sample(self, trajectories: int) -> list[Example]:
         """tau_E, g_E: every task equally likely, then every demonstration of it."""
         drawn = []

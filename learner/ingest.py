@@ -9,7 +9,8 @@ from collections.abc import Callable
 from giirl.metrics import Metrics, waiting
 from giirl.spec import Episode
 from giirl.transport import Keys, Router
-from learner.admission import Admission, Held, IngestLimits
+from learner.admission import Admission, IngestLimits
+from learner.held import Held
 
 TICK_S = 0.1  # how soon the thread notices that it should stop
 MAX_BURST = 256  # messages heard before grants are told

@@ -55,6 +55,14 @@ class Learner:
         """Trajectories as the nets see them."""
         return [study(trajectory, self.vectors) for trajectory in trajectories]
 
+    def anneal(self, step: int) -> None:
+        """Set the learning rates of step 0 .. iterations - 1: a reward that still moves unsettles a solved policy."""
+        done = step / max(self.config.iterations - 1, 1)
+        for part in (self.discriminator, self.policy):
+            rate = part.config.learning_rate * (1 - done * (1 - part.config.final_rate))
+            for group in part.optimiser.param_groups:
+                group["lr"] = rate
+
     def cloning_start(self) -> None:
         """Clone for `policy.cloning_start` updates before anything else; none by default."""
         for _ in range(self.config.policy.cloning_start):

@@ -205,7 +205,7 @@ def targets(run: Path) -> dict[str, str]:
     path = run / "prometheus.json"
     if not path.exists():
         return {}
-    return {group["labels"]["job"]: group["targets"][0] for group in read_json(path)}
+    return {group["labels"]["process"]: group["targets"][0] for group in read_json(path)}
 
 
 def try_scrape(run: Path, job: str) -> Sample:

@@ -98,8 +98,8 @@ def _see_healthy(command: Command, seen: Survival) -> None:
             seen.watched = {}
 
             def watched() -> bool:
-                seen.watched = {row["metric"]["job"]: float(row["value"][1]) for row in ask("up")}
-                steps = ask("sum(giirl_env_steps_total{job='actor-0'})")
+                seen.watched = {row["metric"]["process"]: float(row["value"][1]) for row in ask("up")}
+                steps = ask("sum(giirl_env_steps_total{process='actor-0'})")
                 seen.watched_steps = float(steps[0]["value"][1]) if steps else 0.0
                 return sum(seen.watched.values()) == 3 and seen.watched_steps > 0
 

@@ -41,11 +41,11 @@ def sources(stats: dict[str, float]) -> set[str]:
     return {name.removeprefix(ACCURACY) for name in stats if name.startswith(ACCURACY)}
 
 
-def test_the_plain_thesis_form_has_two_sources_and_the_default_five(demonstrations: list[Trajectory]) -> None:
-    plain = replace(SMALL, replay=0.0, demo_states=0.0, wrong_goal=0.0)
+def test_the_plain_thesis_form_has_two_sources_and_the_default_six(demonstrations: list[Trajectory]) -> None:
+    plain = replace(SMALL, replay=0.0, demo_states=0.0, chance=0.0, wrong_goal=0.0)
     for config, wanted in (
         (plain, {EXPERT, "rollouts"}),
-        (SMALL, {EXPERT, "rollouts", "replay", "demo_states", "wrong_goal"}),
+        (SMALL, {EXPERT, "rollouts", "replay", "demo_states", "chance", "wrong_goal"}),
     ):
         mind = learner(demonstrations, config)
         rollouts = mind.study(scored(demonstrations, 0))
@@ -55,7 +55,9 @@ def test_the_plain_thesis_form_has_two_sources_and_the_default_five(demonstratio
 
 
 def test_it_learns_to_tell_experts_from_what_it_is_shown_as_the_policys(demonstrations: list[Trajectory]) -> None:
-    mind = learner(demonstrations, replace(SMALL, replay=0.0, demo_states=0.0, learning_rate=0.01, rename=0.0))
+    mind = learner(
+        demonstrations, replace(SMALL, replay=0.0, demo_states=0.0, chance=0.0, learning_rate=0.01, rename=0.0)
+    )
     buttons = [t for t in demonstrations if t.task == "click-button"]
     others = [replace(t, actions=tuple(replace(a, element=(a.element + 1) % 6) for a in t.actions)) for t in buttons]
     rollouts = mind.study(scored(others, 0))

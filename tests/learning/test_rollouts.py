@@ -148,7 +148,7 @@ def test_a_page_that_ends_within_the_limit_has_no_step_more() -> None:
 
 @pytest.mark.parametrize("tabs", [1, 3, 8])
 def test_lost_episodes_are_played_again_and_leave_no_other_trace(tabs: int) -> None:
-    browser = Losing(tabs=tabs, times=8)
+    browser = Losing(tabs=tabs, times=2)
     chooser = ExpertChooser(expert)
     got = [story(episode) for episode in episodes(browser, chooser, 4)]
     assert browser.left == 0
@@ -169,6 +169,21 @@ def test_lost_episodes_are_counted_as_such() -> None:
     exposed = generate_latest(metrics.registry).decode()
     assert 'giirl_episodes_total{outcome="lost",task="click-test"} 2.0' in exposed
     assert 'giirl_episodes_total{outcome="success",task="click-test"} 6.0' in exposed
+
+
+def test_an_episode_that_is_always_lost_is_given_up_and_the_others_are_played() -> None:
+    cursed = page_seed(Purpose.TRAIN, 0, 2)
+
+    class Cursed(FakeFarm):
+        def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]:
+            ending = {tab for tab in commands if self._open[tab].episode.seed == cursed}
+            results = super().step(commands)
+            return {tab: replace(r, lost="page_hung") if tab in ending else r for tab, r in results.items()}
+
+    schedule = Schedule(("click-test",), 2, purpose=Purpose.TRAIN, run_seed=0, quota=6)
+    rounds = play(Cursed(tabs=2), ExpertChooser(expert), schedule, step_limit=5, metrics=Metrics())
+    played = [episode.trajectory.seed for some in rounds for episode in some]
+    assert sorted(played) == [page_seed(Purpose.TRAIN, 0, i) for i in (0, 1, 3, 4, 5)]
 
 
 @pytest.mark.parametrize("tabs", [1, 2, 3, 5, 9])

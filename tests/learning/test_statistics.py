@@ -45,4 +45,4 @@ def test_the_lowest_window_is_the_lowest_of_all_windows(successes: list[bool], w
 
 
 def test_no_outcomes_have_no_lowest_window() -> None:
-    assert math.isnan(lowest_window([], 10))
+    assert lowest_window([], 10) is None

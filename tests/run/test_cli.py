@@ -100,7 +100,7 @@ def test_train_writes_its_result_where_it_says(giirl: Command, tmp_path: Path) -
         (["--json", "."], "cannot write ."),
         (["run=broken.toml"], "broken.toml is not empty"),
         (["run=broken.toml/run"], "broken.toml/run"),
-        (["--resume", "out"], "takes no CONFIG and no key=value"),
+        (["--resume", "out"], "out is no run"),
     ],
 )
 def test_what_train_cannot_do_is_one_line_and_leaves_nothing(
@@ -184,6 +184,9 @@ def test_ctrl_c_saves_and_says_how_to_go_on(
     assert giirl("train", "--resume", "out").status == 0
     result = json.loads((tmp_path / "out/result.json").read_text())
     assert result["parameters_sha256"] == finished[1]["parameters_sha256"]
+    assert "seed is fixed" in giirl("train", "--resume", "out", "seed=3").complaint
+    assert giirl("train", "--resume", "out", "iterations=9", "evaluate.episodes=2").status == 0
+    assert json.loads((tmp_path / "out/curve.jsonl").read_text().splitlines()[-1])["step"] == 9
 
 
 def test_evaluate_measures_the_last_checkpoint_again(
@@ -207,7 +210,7 @@ def test_toggle_reports_shares_of_the_pages_it_was_asked_for(
     assert 0 <= result["own_goal_top1"] <= 1
     assert 0 <= result["swapped_goal_top1"] <= 1
     said = giirl("reward", "toggle", finished[0], "--pages", "2", "--task", "click-test").complaint
-    assert "click-test shows no two buttons" in said
+    assert "click-test has no page of" in said
 
 
 def test_demonstrations_made_by_the_command_can_be_counted_and_learned_from(giirl: Command, tmp_path: Path) -> None:

@@ -11,7 +11,8 @@ from giirl import delivery, wire
 from giirl.delivery import Grant
 from giirl.metrics import Metrics
 from giirl.wire import Stamp, WireError
-from learner.admission import Admission, Held, IngestLimits
+from learner.admission import Admission, IngestLimits
+from learner.held import Held
 from tests.wire.examples import assert_same_episode, episode
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from giirl.metrics import Metrics, serve, waiting, write_targets
+from giirl.metrics import Metrics, waiting, write_targets
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def scrape(address: str) -> dict[tuple[str, frozenset[tuple[str, str]]], float]:
 
 
 def test_what_was_counted_is_scraped(metrics: Metrics) -> None:
-    address = serve(metrics)
+    address = metrics.serve()
     metrics.env_steps.inc(3)
     metrics.episodes.labels("click-test", "success").inc()
     metrics.trajectories_dropped.labels("stale").inc(2)
@@ -75,7 +75,7 @@ def test_every_name_that_dashboards_know_is_there(metrics: Metrics) -> None:
 def test_two_registries_share_nothing(metrics: Metrics) -> None:
     metrics.env_steps.inc()
     with closing(Metrics()) as other:
-        assert scrape(serve(other))["giirl_env_steps_total", frozenset()] == 0
+        assert scrape(other.serve())["giirl_env_steps_total", frozenset()] == 0
 
 
 def test_a_wait_shows_while_it_lasts_and_is_counted_even_when_it_fails(metrics: Metrics) -> None:
@@ -94,18 +94,18 @@ def test_a_wait_shows_while_it_lasts_and_is_counted_even_when_it_fails(metrics: 
 
 
 def test_a_port_in_use_is_told_in_one_line(metrics: Metrics) -> None:
-    port = int(serve(metrics).rpartition(":")[2])
+    port = int(metrics.serve().rpartition(":")[2])
     with pytest.raises(ValueError, match=rf"metrics cannot listen on 127\.0\.0\.1:{port}: ") as caught:
-        serve(metrics, port=port)
+        metrics.serve(port=port)
     assert "\n" not in str(caught.value)
 
 
 def test_prometheus_is_told_where_to_scrape(tmp_path: Path) -> None:
     path = tmp_path / "targets.json"
-    write_targets(path, {"learner": "127.0.0.1:1"})
-    write_targets(path, {"learner": "127.0.0.1:2", "actor-0": "127.0.0.1:3"})
+    write_targets(path, "one", {"learner": "127.0.0.1:1"})
+    write_targets(path, "one", {"learner": "127.0.0.1:2", "actor-0": "127.0.0.1:3"})
     assert json.loads(path.read_text()) == [
-        {"targets": ["127.0.0.1:3"], "labels": {"job": "actor-0"}},
-        {"targets": ["127.0.0.1:2"], "labels": {"job": "learner"}},
+        {"targets": ["127.0.0.1:3"], "labels": {"job": "giirl", "run": "one", "process": "actor-0"}},
+        {"targets": ["127.0.0.1:2"], "labels": {"job": "giirl", "run": "one", "process": "learner"}},
     ]
     assert list(tmp_path.iterdir()) == [path]

@@ -14,7 +14,8 @@ from giirl.delivery import Grant
 from giirl.metrics import Metrics
 from giirl.spec import Episode
 from giirl.transport import Dealer, Router
-from learner.admission import Held, IngestLimits
+from learner.admission import IngestLimits
+from learner.held import Held
 from learner.ingest import Ingest
 from tests.wire.examples import episode
 

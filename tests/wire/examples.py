@@ -74,7 +74,7 @@ def trajectories(draw: st.DrawFn) -> Trajectory:
     actions = []
     for seen in shown:
         start = draw(st.integers(-1, len(goal.tokens) - 1))
-        end = draw(st.integers(start, len(goal.tokens) - 1))
+        end = start if start < 0 else draw(st.integers(start, len(goal.tokens) - 1))
         element = draw(st.integers(0, len(seen) - 1))
         actions.append(Action(verb=draw(st.sampled_from(Verb)), element=element, start=start, end=end))
     numbers = st.lists(NUMBER, min_size=len(shown), max_size=len(shown))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from giirl import wire
 from giirl.columns import head, pack, unpack
-from giirl.spec import Episode, Trajectory, Weights
+from giirl.spec import Episode, Trajectory
 from giirl.wire import Stamp, WireError
 from tests.wire.examples import (
     STAMP,
@@ -237,16 +237,6 @@ def test_what_cannot_be_sent_is_refused_where_it_was_made() -> None:
         wire.encode({"kind": "x", "seed": 2**80})
     with pytest.raises(ValueError, match="incarnation"):
         Stamp(run="", actor="", incarnation=-1, sequence=0)
-
-
-def test_weights_come_back_and_a_wrong_digest_does_not() -> None:
-    weights = Weights.seal(7, b"parameters")
-    assert wire.decode_weights(wire.encode_weights(weights)) == weights
-    forged = Weights(version=7, blob=b"others", digest=weights.digest)
-    with pytest.raises(WireError, match="corrupt"):
-        wire.decode_weights(wire.encode_weights(forged))
-    with pytest.raises(WireError, match="wanted 'weights'"):
-        wire.decode_weights(wire.encode({"kind": "x"}))
 
 
 def test_a_file_of_episodes_comes_back(tmp_path: Path) -> None:
