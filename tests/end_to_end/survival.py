@@ -125,7 +125,7 @@ def _kill_actor(command: Command, seen: Survival) -> None:
         return total(seen.after_actor, "giirl_episodes_total") > 0 and step(seen.run) > reached + 1
 
     before, reached = targets(seen.run)["actor-0"], step(seen.run)
-    command.until(lambda: (seen.run / "checkpoints" / "latest").exists(), "first checkpoint")
+    command.until(lambda: bool(_marks(seen.run)), "a checkpoint that knows the actor")
     seen.incarnations = [_incarnation(seen.run)]
     process = _find(command, "ray::ActorOnRay")
     process.kill()
@@ -146,10 +146,16 @@ def _kill_service(command: Command, seen: Survival) -> None:
     seen.services = [process.pid, _find(command, "ray::RewardOnRay").pid]
 
 
+def _marks(run: Path) -> list[dict[str, Any]]:
+    """What the newest checkpoint knows of the actors; the first one is of before they began."""
+    checkpoints = run / "checkpoints"
+    marks: list[dict[str, Any]] = read_json(checkpoints / (checkpoints / "latest").read_text() / "actors.json")
+    return marks
+
+
 def _incarnation(run: Path) -> int:
     """Of the one actor that the newest checkpoint knows."""
-    checkpoints = run / "checkpoints"
-    (mark,) = read_json(checkpoints / (checkpoints / "latest").read_text() / "runtime.json")["marks"]
+    (mark,) = _marks(run)
     assert mark["actor"] == "actor-0"
     return int(mark["incarnation"])
 
