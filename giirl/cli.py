@@ -12,6 +12,7 @@ import click
 from rich.table import Column, Table
 
 from giirl.cli_demos import demos, writable
+from giirl.cli_reproduce import reproduce
 from giirl.config import Config, changed, dump_config, load_config
 from giirl.doctor import checks
 from giirl.progress import Display
@@ -73,10 +74,14 @@ def train(
         display.say(f"resuming {folder.path} from {checkpoint.name}")
     else:
         settings, checkpoint = load_config(path, changes), None
-        check_tasks(settings)
+        if settings.world == "miniwob":
+            check_tasks(settings)
         folder = RunFolder.create(settings, path.stem if path else "giirl")
         display.say(f"run folder {folder.path}, every setting in its {folder.config_file.name}")
         display.say(f"not the defaults: {' '.join(changed(settings)) or 'none'}")
+    if settings.world == "gridcraft":
+        _train_grid(settings, folder, json_file, display)
+        return
     try:
         result = train(settings, folder, checkpoint, display)
     except Stopped:
@@ -157,6 +162,7 @@ def toggle(run: Path, task: str, pages: int, json_file: Path | None) -> None:
 
 
 giirl.add_command(demos)
+giirl.add_command(reproduce)
 
 
 def check_tasks(config: Config) -> None:
@@ -168,6 +174,21 @@ def check_tasks(config: Config) -> None:
             fake.check_task(task)
         else:
             miniwob.page_url(task)
+
+
+def _train_grid(config: Config, folder: RunFolder, json_file: Path | None, display: Display) -> None:
+    """The same in LanguageGridCraft: short enough to need no checkpoints."""
+    from giirl.run_grid import grid_table, train_grid
+
+    try:
+        result = train_grid(config, folder, display)
+    except BaseException:
+        folder.discard_unless_begun()
+        raise
+    for target in (folder.result, *_some(json_file)):
+        folder.write_json(target, result)
+    display.table(grid_table(result))
+    display.say(f"{result['env_steps']} environment steps, {result['seconds']:.0f} s; results in {folder.path}")
 
 
 def _prolonged(folder: RunFolder, config: Config, path: Path | None, changes: list[str]) -> Config:

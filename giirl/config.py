@@ -136,6 +136,31 @@ class MetricsConfig:
     port: Annotated[int, Field(ge=0, le=65535)] = 0
 
 
+@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
+class GridConfig:
+    """LanguageGridCraft; read where world = "gridcraft", with what policy and discriminator say."""
+
+    layouts: tuple[str, ...] = ("regions",)  # by name
+    random_layouts: Annotated[int, Field(ge=0)] = 0  # as many more, of the seeds from layout_seed on
+    layout_seed: Annotated[int, Field(ge=0)] = 1000
+    colours: Annotated[tuple[str, ...], Field(min_length=2)] = ("red", "green", "blue")
+    goals: tuple[str, ...] = ()  # "red-blue" goes to red and avoids blue; all ordered pairs of the colours when empty
+    held_out: tuple[str, ...] = ()  # pairs among them that training never sees
+    sentences: Literal["plain", "all"] = "plain"
+    order: Literal[1, 2] = 2  # of the bag of words; 2 also counts neighbouring words
+    neighbours: bool = False  # whether the four cells around are seen
+    whole_map: bool = False  # whether policies see the layout from above; a reward judges what is near
+    demonstrations: Positive = 10  # per layout and goal
+    expert_temperature: Weight = 0.1
+    chance_episodes: Positive = 100  # played by chance before learning, kept for good
+    batch: Positive = 256  # steps per soft Q update
+    target_rate: Annotated[float, Field(gt=0, le=1)] = 0.05  # how fast the target net follows
+    form: Literal["plain", "airl"] = "plain"  # of the discriminator; "airl" is Fu, Luo and Levine's (2018)
+    absorbing: bool = False  # whether an episode's end is a state that is judged too
+    slow: Literal["time", "accuracy"] = "time"  # what lowers the discriminator's learning rate to its final rate
+    measure_every: Positive = 5  # iterations between exact measurements of the policy
+
+
 DEFAULT_TASKS = ("click-test", "click-test-2", "click-button", "enter-text")
 
 
@@ -144,6 +169,7 @@ class Config:
     """Everything a run needs to know."""
 
     run: str = ""  # folder of the run; runs/NAME-TIME when empty
+    world: Literal["miniwob", "gridcraft"] = "miniwob"
     seed: Annotated[int, Field(ge=0, lt=1 << 16)] = 0
     runtime: Literal["serial", "local", "ray"] = "local"
     browser: Literal["chrome", "fake"] = "chrome"
@@ -163,6 +189,7 @@ class Config:
     cloning: CloningConfig = CloningConfig()
     evaluate: EvaluateConfig = EvaluateConfig()
     metrics: MetricsConfig = MetricsConfig()
+    grid: GridConfig = GridConfig()
 
 
 _TREE = TypeAdapter(Config)

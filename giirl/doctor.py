@@ -31,6 +31,7 @@ REINSTALL = "make install"
 PACKAGES = (
     ("click", "click"),
     ("gymnasium", "gymnasium"),
+    ("matplotlib", "matplotlib"),
     ("miniwob", "miniwob"),
     ("msgpack", "msgpack"),
     ("numpy", "numpy"),

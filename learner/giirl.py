@@ -9,15 +9,31 @@ actors --- tau_pi, g_pi ---> D: expert or policy? --- r(s, a | g) ---> pi: maxim
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import Any, Protocol
 
 from giirl.config import Config
-from giirl.spec import TrajectorySource
-from learner.learner import Learner
 
 Observe = Callable[[int, dict[str, float]], None]
 
 
-def giirl(config: Config, learner: Learner, source: TrajectorySource, steps: Iterable[int], observe: Observe) -> None:
+class Source(Protocol):
+    """Plays: episodes of web pages, or of a grid. What an episode is only the learner of its world knows."""
+
+    def take(self, episodes: int) -> Any: ...
+
+
+class Learning(Protocol):
+    """The parts that learn in one world, with the verbs that the loops below use."""
+
+    demos: Any  # sample(count): demonstrations
+    discriminator: Any  # update(expert, rollouts, net), rewards(rollouts, version), ask(...): reward of anything
+    policy: Any  # net, update(rollouts, rewards, ask)
+    cloner: Any  # update(expert)
+
+    def study(self, episodes: Any) -> Any: ...
+
+
+def giirl(config: Config, learner: Learning, source: Source, steps: Iterable[int], observe: Observe) -> None:
     """Learn a reward and a policy together. `observe` publishes, reports and saves after every step."""
     demos, discriminator, policy = learner.demos, learner.discriminator, learner.policy
     for step in steps:
@@ -29,7 +45,7 @@ def giirl(config: Config, learner: Learner, source: TrajectorySource, steps: Ite
         observe(step, {**d, **p})
 
 
-def clone(config: Config, learner: Learner, source: TrajectorySource, steps: Iterable[int], observe: Observe) -> None:
+def clone(config: Config, learner: Learning, source: Source, steps: Iterable[int], observe: Observe) -> None:
     """Behavioural cloning on the same net and demonstrations; rollouts are only watched."""
     for step in steps:
         source.take(config.rollout_batch)

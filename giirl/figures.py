@@ -1,0 +1,88 @@
+"""The figures of the tabular chapter as PNG: maps of a learned reward, and returns while it is learned."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from giirl.gridcraft_layouts import COLOURS, Layout
+
+INKS = ("#404040", "#ffffff", "#d7301f", "#31a354", "#3182bd", "#fec44f")  # wall, white, then COLOURS
+DOTS_PER_INCH = 120
+INCHES = 3.2  # of a panel
+
+assert len(INKS) == len(COLOURS) + 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Panel:
+    """Numbers on a layout."""
+
+    title: str
+    values: NDArray[np.float64]  # [H, W], nan where there is a wall
+
+
+def draw_maps(path: Path, layout: Layout, panels: Sequence[Panel]) -> None:
+    """The layout in its colours beside each panel as a heat map, all on one scale."""
+    figure = Figure(figsize=(INCHES * (len(panels) + 1), INCHES + 0.3), layout="constrained")
+    axes = figure.subplots(1, len(panels) + 1, squeeze=False)[0]
+    paint = ListedColormap(INKS)
+    axes[0].imshow(layout.cells, cmap=paint, norm=BoundaryNorm(np.arange(-1.5, len(COLOURS) + 1), paint.N))
+    axes[0].set_title(f"the map: {layout.name}", fontsize=9)
+    every = np.concatenate([panel.values[np.isfinite(panel.values)] for panel in panels])
+    image = None
+    for axis, panel in zip(axes[1:], panels, strict=True):
+        axis.set_facecolor(INKS[0])
+        image = axis.imshow(panel.values, cmap="viridis", vmin=every.min(), vmax=every.max())
+        axis.set_title(panel.title, fontsize=9)
+        _outline(axis, layout)
+    for axis in axes:
+        axis.set_xticks([])
+        axis.set_yticks([])
+    if image is not None:
+        figure.colorbar(image, ax=list(axes[1:]), label="learned reward", shrink=0.8)
+    _save(figure, path)
+
+
+def draw_returns(path: Path, env_steps: NDArray[np.int64], returns: Mapping[str, NDArray[np.float64]]) -> None:
+    """Return against steps [P] by goal, from [seeds, P]: the mean, and a band from the worst seed to the best."""
+    columns = min(len(returns), 3)
+    rows = -(-len(returns) // columns)
+    figure = Figure(figsize=(INCHES * columns, 2.4 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    for axis, (goal, curves) in zip(axes.flat, returns.items(), strict=False):
+        axis.fill_between(env_steps, curves.min(axis=0), curves.max(axis=0), alpha=0.3, linewidth=0)
+        axis.plot(env_steps, curves.mean(axis=0))
+        axis.axhline(1.0, linewidth=0.6, color="#404040")
+        axis.set_title(goal, fontsize=9)
+    for axis in axes[-1]:
+        axis.set_xlabel("environment steps", fontsize=8)
+    for axis in axes[:, 0]:
+        axis.set_ylabel("return over optimal", fontsize=8)
+    for axis in axes.flat[len(returns) :]:
+        axis.set_visible(False)
+    _save(figure, path)
+
+
+def _outline(axis: Axes, layout: Layout) -> None:
+    """The edges of the coloured regions, in their colours."""
+    for number in range(1, len(COLOURS) + 1):
+        for row, column in np.argwhere(layout.cells == number):
+            corner = (float(column) - 0.42, float(row) - 0.42)
+            axis.add_patch(Rectangle(corner, 0.84, 0.84, fill=False, edgecolor=INKS[number + 1], linewidth=1.2))
+
+
+def _save(figure: Figure, path: Path) -> None:
+    """Write the PNG. No window system is asked for, and no date goes into the file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    FigureCanvasAgg(figure)
+    figure.savefig(path, dpi=DOTS_PER_INCH, metadata={"Software": None})
