@@ -62,6 +62,7 @@ def train(
     """
     from giirl.run import Stopped, train
     from giirl.run_evaluate import result_table
+    from giirl.run_grid import grid_table, train_grid
     from learner.checkpoint import latest_checkpoint
 
     display = Display()
@@ -79,11 +80,9 @@ def train(
         folder = RunFolder.create(settings, path.stem if path else "giirl")
         display.say(f"run folder {folder.path}, every setting in its {folder.config_file.name}")
         display.say(f"not the defaults: {' '.join(changed(settings)) or 'none'}")
-    if settings.world == "gridcraft":
-        _train_grid(settings, folder, json_file, display)
-        return
+    grid = settings.world == "gridcraft"
     try:
-        result = train(settings, folder, checkpoint, display)
+        result = train_grid(settings, folder, display) if grid else train(settings, folder, checkpoint, display)
     except Stopped:
         display.say(f"stopped and saved; to go on: giirl train --resume {folder.path}")
         sys.exit(130)
@@ -93,7 +92,7 @@ def train(
         raise
     for target in (folder.result, *_some(json_file)):
         folder.write_json(target, result)
-    display.table(result_table(result))
+    display.table(grid_table(result) if grid else result_table(result))
     display.say(f"{result['env_steps']} environment steps, {result['seconds']:.0f} s; results in {folder.path}")
 
 
@@ -174,21 +173,6 @@ def check_tasks(config: Config) -> None:
             fake.check_task(task)
         else:
             miniwob.page_url(task)
-
-
-def _train_grid(config: Config, folder: RunFolder, json_file: Path | None, display: Display) -> None:
-    """The same in LanguageGridCraft: short enough to need no checkpoints."""
-    from giirl.run_grid import grid_table, train_grid
-
-    try:
-        result = train_grid(config, folder, display)
-    except BaseException:
-        folder.discard_unless_begun()
-        raise
-    for target in (folder.result, *_some(json_file)):
-        folder.write_json(target, result)
-    display.table(grid_table(result))
-    display.say(f"{result['env_steps']} environment steps, {result['seconds']:.0f} s; results in {folder.path}")
 
 
 def _prolonged(folder: RunFolder, config: Config, path: Path | None, changes: list[str]) -> Config:
