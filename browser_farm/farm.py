@@ -116,6 +116,11 @@ class ChromeFarm:
             )
         return results
 
+    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
+        """PNG of a part of what a tab shows: left, top, width, height in CSS px, each `scale` dots wide."""
+        self._check({tab: None})
+        return self._tabs.picture(tab, box, scale)
+
     def close(self) -> None:
         self._closed = True
         self._tabs.close()

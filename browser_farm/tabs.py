@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -106,6 +107,14 @@ class Tabs:
                 words = reply.error or str(reply.result["errorText"])
                 failures[tab] = Failure(cause="navigated", words=words)
         return failures
+
+    def picture(self, tab: int, box: tuple[float, float, float, float], scale: float) -> bytes:
+        """PNG of a part of the page. A hidden tab draws nothing, so it comes forward."""
+        session, timeout_s = self._tabs[tab].session, self._call_timeout_s
+        clip = dict(zip(("x", "y", "width", "height"), box, strict=True)) | {"scale": scale}
+        self._tools.call(session, "Page.bringToFront", timeout_s=timeout_s)
+        shot = self._tools.call(session, "Page.captureScreenshot", {"format": "png", "clip": clip}, timeout_s=timeout_s)
+        return base64.b64decode(shot["data"])
 
     def interrupt(self, tab: int) -> None:
         """Stop the script that runs in a tab."""
