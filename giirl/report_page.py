@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from giirl import charts
 from giirl.judged import Frame, Judged, Scale, Strip, element_name, ranked
-from giirl.shots import Shot, draw_shot, number
+from giirl.shots import MOST_LABELS, Shot, draw_shot, number
 
 OWN, OTHER = "its own instruction", "another instruction"
 
@@ -63,7 +63,12 @@ def data_address(png: bytes) -> str:
 
 def scale_view(scale: Scale) -> dict[str, str]:
     """The numbers under the legend."""
-    return {"low": number(scale.low), "middle": number(scale.middle), "high": number(scale.high)}
+    return {
+        "low": number(scale.low),
+        "middle": number(scale.middle),
+        "high": number(scale.high),
+        "most": str(MOST_LABELS),
+    }
 
 
 def strip_view(strip: Strip, scale: Scale) -> StripView:

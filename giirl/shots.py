@@ -9,9 +9,10 @@ import numpy as np
 
 from giirl.charts import minus
 from giirl.features import HEIGHT_PX, WIDTH_PX
-from giirl.judged import Judged, Scale, action_words, element_name
+from giirl.judged import Judged, Scale, action_words, element_name, ranked
 from giirl.spec import Page, Verb
 
+MOST_LABELS = 16  # numbers on one picture; beyond that nobody reads them
 LEAST_PX = 80.0  # height of a picture
 ROOMY = 4  # times as wide as its number is an element with room for it
 LETTER_PX, LABEL_PX = 4.4, 8.6  # size of a number's characters on the page
@@ -43,14 +44,21 @@ class Box:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mark:
-    """One element: its outline, how strongly it is painted, and its number beside it."""
+    """One element: its outline, and how strongly it is painted."""
 
     box: Box
-    label: Box
-    number: str
     good: bool  # more than what D = 1/2 earns
-    top: bool  # the highest of the page
     opacity: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Label:
+    """The number of one element, and where it stands."""
+
+    box: Box
+    text: str
+    good: bool
+    top: bool  # the highest of the page
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,6 +68,7 @@ class Shot:
     said: str  # the instruction
     window: Box
     marks: tuple[Mark, ...]
+    labels: tuple[Label, ...]  # of the MOST_LABELS elements with the highest rewards
     target: Box | None  # what the policy acts on, where it can be seen
     typed: str  # what it types there
     does: str  # its action, in words
@@ -86,25 +95,24 @@ def draw_shot(page: Page, judged: Judged, scale: Scale) -> Shot:
     """Put marks on what can be seen of a page."""
     window = window_of(page)
     boxes = [Box(*map(float, box)).inside(window) for box in page.box]
-    top = judged.top
-    seen = [(one, box) for one in judged.best if (box := boxes[one.action.element]) is not None]
-    labels = place_labels([box for _, box in seen], [number(one.reward) for one, _ in seen], window)
-    marks = tuple(
-        Mark(
-            box=box,
-            label=label,
-            number=number(one.reward),
-            good=one.reward > scale.middle,
-            top=top is not None and one.reward == top.reward,
-            opacity=FAINTEST + (STRONGEST - FAINTEST) * abs(scale.share(one.reward)),
-        )
-        for (one, box), label in zip(seen, labels, strict=True)
-    )
+    seen = [(one.reward, box) for one in ranked(judged.best) if (box := boxes[one.action.element]) is not None]
+    places = place_labels([box for _, box in seen], [number(reward) for reward, _ in seen[:MOST_LABELS]], window)
     choice = judged.choice
     return Shot(
         said=judged.goal.utterance,
         window=window,
-        marks=marks,
+        marks=tuple(
+            Mark(
+                box=box,
+                good=reward > scale.middle,
+                opacity=FAINTEST + (STRONGEST - FAINTEST) * abs(scale.share(reward)),
+            )
+            for reward, box in seen
+        ),
+        labels=tuple(
+            Label(box=place, text=number(reward), good=reward > scale.middle, top=reward == seen[0][0])
+            for (reward, _), place in zip(seen, places, strict=False)
+        ),
         target=boxes[choice.element] if choice is not None else None,
         typed=choice.text(judged.goal) if choice is not None and choice.verb is Verb.TYPE else "",
         does=action_words(page, judged.goal, choice) if choice is not None else "nothing can be done here",
@@ -114,16 +122,12 @@ def draw_shot(page: Page, judged: Judged, scale: Scale) -> Shot:
 
 
 def place_labels(boxes: Sequence[Box], numbers: Sequence[str], window: Box) -> list[Box]:
-    """A place for each number at its element: where it hides least of the other numbers and elements."""
+    """A place for each of the numbers at its box: where it hides least of the other numbers and of all boxes."""
     placed: list[Box] = []
-    for box, text in zip(boxes, numbers, strict=True):
-        others = [other for other in boxes if other is not box]
-
-        def hidden(place: tuple[Box, float], box: Box = box, others: Sequence[Box] = others) -> float:
-            label, cost = place
-            return cost + 4 * sum(map(label.overlap, placed)) + sum(map(label.overlap, others)) + label.overlap(box)
-
-        placed.append(min(_places(box, LETTER_PX * len(text) + 3, window), key=hidden)[0])
+    for box, text in zip(boxes, numbers, strict=False):
+        places = _places(box, LETTER_PX * len(text) + 3, window)
+        costs = [cost + 4 * sum(map(at.overlap, placed)) + sum(map(at.overlap, boxes)) for at, cost in places]
+        placed.append(places[costs.index(min(costs))][0])
     return placed
 
 
@@ -135,8 +139,8 @@ def _places(box: Box, width: float, window: Box) -> list[tuple[Box, float]]:
         (right + 1, middle, 0.0),
         (box.x - width - 1, middle, 0.0),
         (right - width - 1, middle, inside),
-        (right - width, box.y - LABEL_PX, 40.0),
-        (right - width, box.y + box.height, 40.0),
+        (right - width, box.y - LABEL_PX, 15.0),
+        (right - width, box.y + box.height, 15.0),
     ]
     return [
         (
