@@ -72,10 +72,10 @@ def _a_line_through_the_dot(seen: Observation) -> Action:
     return Action(verb=Verb.DRAG, element=dot, at=(-away[0], -away[1]), by=(2 * away[0], 2 * away[1]))
 
 
-def _the_middle_of_the_circle(seen: Observation) -> Action:
-    left, top, width, height = map(float, seen.page.box[row(seen, "circle")])
-    padding = 2  # the page reckons without that of its area
-    return Action(verb=Verb.CLICK, at=(left + width / 2 - padding, top + height / 2 - padding))
+def _the_place_of_the_named_colour(seen: Observation) -> Action:
+    colour = seen.goal.utterance.split()[3]
+    left, top, width, height = map(float, seen.page.box[seen.page.colour.index(colour)])
+    return Action(verb=Verb.CLICK, at=(left + width / 3, top + height / 3))
 
 
 def _the_corner_as_told(seen: Observation) -> Action:
@@ -96,7 +96,7 @@ def _the_end_as_told(seen: Observation) -> Action:
         ("drag-box", (_small_box_into_the_large, SUBMIT)),
         ("highlight-text", (_over_all_of_the_text, SUBMIT)),
         ("draw-line", (_a_line_through_the_dot, SUBMIT)),
-        ("circle-center", (_the_middle_of_the_circle, SUBMIT)),
+        ("click-color", (_the_place_of_the_named_colour,)),
         ("resize-textarea", (_the_corner_as_told, SUBMIT)),
         ("scroll-text-2", (_the_end_as_told, SUBMIT)),
         (
