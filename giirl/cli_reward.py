@@ -28,13 +28,12 @@ def reward() -> None:
 def toggle(run: Path, task: str, pages: int, json_file: Path | None) -> None:
     """How often the reward ranks the goal's button first, and after the goal names another, that one."""
     from giirl.metrics import Metrics
+    from giirl.run import reward_of_run
     from giirl.run_toggle import toggle
-    from learner.checkpoint import latest_checkpoint
 
     writable(json_file)
-    folder, config = _with_reward(run, task)
-    weights = folder.weights(latest_checkpoint(folder.checkpoints), "reward")
-    result = toggle(config, weights, task, pages, Metrics(), Display())
+    folder, config = _one_task(run, task)
+    result = toggle(config, reward_of_run(run), task, pages, Metrics(), Display())
     if json_file is not None:
         folder.write_json(json_file, result)
     Display().say(
@@ -63,15 +62,8 @@ def inspect(run: Path, task: str, seed: int, goal: str | None, out: Path | None)
     drawn(out)
 
 
-def _with_reward(run: Path, task: str) -> tuple[RunFolder, Config]:
-    """A run that learned a reward, to be looked at on one task."""
-    folder, config = _one_task(run, task)
-    if config.algorithm != "giirl":
-        raise ValueError(f"{run} learned no reward: its algorithm is {config.algorithm!r}, wanted 'giirl'")
-    return folder, config
-
-
 def _one_task(run: Path, task: str) -> tuple[RunFolder, Config]:
+    """A run on web pages, to be looked at on one task."""
     from giirl.run_browser import check_tasks
 
     folder, _ = RunFolder.open(run)

@@ -70,7 +70,7 @@ class Scale:
     def share(self, reward: float) -> float:
         """Where a reward lies, from -1 to 1."""
         side = self.high - self.middle if reward > self.middle else self.middle - self.low
-        return float(np.clip((reward - self.middle) / side, -1, 1))
+        return float(np.clip((reward - self.middle) / side, -1, 1)) if side else 0.0
 
 
 def scale_of(config: Config) -> Scale:

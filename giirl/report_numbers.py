@@ -103,8 +103,20 @@ def result_tables(config: Config, result: Result | None, thesis: Mapping[str, fl
         )
         for task, own in result["tasks"].items()
     )
+    tables = [_by_goal(result)] if any("held_out_goals" in own for own in result["tasks"].values()) else []
     head = ("task", "chance", "success", "95 % interval", "pages", "thesis")
-    return [TableView(caption="Greedy policy on fresh pages, % that succeed", head=head, rows=rows)]
+    return [TableView(caption="Greedy policy on fresh pages, % that succeed", head=head, rows=rows), *tables]
+
+
+def _by_goal(result: Result) -> TableView:
+    """Where goals were held out of training: success under those it saw, and under the others."""
+    rows = tuple(
+        (task, *(f"{100 * own[goals]['success']:.1f}" for goals in ("trained_goals", "held_out_goals")))
+        for task, own in result["tasks"].items()
+        if "held_out_goals" in own
+    )
+    head = ("task", "goals of the training", "goals held out")
+    return TableView(caption="The same by instruction, % that succeed", head=head, rows=rows)
 
 
 def _returns(result: Result) -> TableView:

@@ -63,12 +63,8 @@ def data_address(png: bytes) -> str:
 
 def scale_view(scale: Scale) -> dict[str, str]:
     """The numbers under the legend."""
-    return {
-        "low": number(scale.low),
-        "middle": number(scale.middle),
-        "high": number(scale.high),
-        "most": str(MOST_LABELS),
-    }
+    ends = {"low": scale.low, "middle": scale.middle, "high": scale.high}
+    return {name: number(reward) for name, reward in ends.items()} | {"most": str(MOST_LABELS)}
 
 
 def strip_view(strip: Strip, scale: Scale) -> StripView:

@@ -18,7 +18,6 @@ from giirl.reward import build_policy, build_reward
 from giirl.run_browser import open_browser
 from giirl.shots import Box, window_of
 from giirl.spec import (
-    Action,
     Browser,
     Command,
     EpisodeSpec,
@@ -26,7 +25,6 @@ from giirl.spec import (
     Observation,
     Outcome,
     Purpose,
-    Verb,
     Weights,
     page_seed,
 )
@@ -35,11 +33,6 @@ from giirl.swaps import renamed
 DOTS = 2.0  # of a picture per CSS px
 TAB = 0
 LARGEST_SEED = 1 << 53  # JavaScript keeps no larger number exact
-
-
-def learns_reward(config: Config) -> bool:
-    """Whether a run's reward net is trained at all."""
-    return config.algorithm == "giirl"
 
 
 class Inspector:
@@ -95,7 +88,7 @@ class Inspector:
             action, last = frame.own.choice, len(frames) == self._config.step_limit
             trouble, outcome = "there is nothing on the page to act on", None
             if action is not None:
-                result = self._browser.step({TAB: _command(seen, action, last=last)})[TAB]
+                result = self._browser.step({TAB: Command.of(action, seen, last=last)})[TAB]
                 trouble, seen = result.lost, result.observation
                 if result.done or last:
                     outcome = Outcome(raw_reward=result.raw_reward, ended=result.done)
@@ -122,8 +115,3 @@ def _picture(browser: Browser, window: Box) -> bytes | None:
     if not isinstance(browser, ChromeFarm):
         return None
     return browser.picture(TAB, (window.x, window.y, window.width, window.height), scale=DOTS)
-
-
-def _command(seen: Observation, action: Action, *, last: bool) -> Command:
-    ref = int(seen.page.ref[action.element])
-    return Command(verb=Verb(action.verb), ref=ref, text=action.text(seen.goal), last=last)

@@ -13,9 +13,10 @@ from giirl.metrics import Metrics
 from giirl.progress import Display
 from giirl.report_numbers import facts_of, lead_of, learning_group, result_lines, result_tables, success_group
 from giirl.report_page import data_address, render, scale_view, strip_view
+from giirl.run import REWARDING
 from giirl.run_evaluate import THESIS
 from giirl.run_folder import RunFolder
-from giirl.run_inspect import Inspector, learns_reward
+from giirl.run_inspect import Inspector
 from giirl.spec import EpisodeSpec, Goal, Weights
 from learner.checkpoint import latest_checkpoint
 
@@ -40,7 +41,7 @@ def report(folder: RunFolder, config: Config, out: Path, pages: int, command: st
         groups=groups,
         strips=[(task, [strip_view(strip, scale) for strip in some]) for task, some in strips.items()],
         strips_words=words,
-        scale=scale_view(scale) if learns_reward(config) else None,
+        scale=scale_view(scale) if config.algorithm in REWARDING else None,
         settings=dump_config(config),
         command=command,
     )
@@ -53,7 +54,7 @@ def inspect(folder: RunFolder, config: Config, spec: EpisodeSpec, goal: Goal | N
     checkpoint = latest_checkpoint(folder.checkpoints)
     with Inspector(config, *_weights(folder, config, checkpoint), Metrics()) as inspector:
         strip = inspector.page(spec, goal)
-    scale, reward = scale_of(config), learns_reward(config)
+    scale, reward = scale_of(config), config.algorithm in REWARDING
     if strip.frames[0].other is None:
         lead = "Its instruction names no element that another could stand in for; say one with --goal."
     else:
@@ -97,7 +98,7 @@ def _strips(folder: RunFolder, config: Config, pages: int, display: Display) -> 
     ]
     if config.browser == "fake":
         words.append("The fake browser draws no screenshots: its elements are shown as boxes.")
-    if not learns_reward(config):
+    if config.algorithm not in REWARDING:
         words.append(_no_reward(config))
     return strips, " ".join(words)
 
@@ -107,7 +108,7 @@ def _no_reward(config: Config) -> str:
 
 
 def _weights(folder: RunFolder, config: Config, checkpoint: Path) -> tuple[Weights, Weights | None]:
-    reward = folder.weights(checkpoint, "reward") if learns_reward(config) else None
+    reward = folder.weights(checkpoint, "reward") if config.algorithm in REWARDING else None
     return folder.weights(checkpoint, "policy"), reward
 
 
