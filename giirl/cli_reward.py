@@ -62,13 +62,54 @@ def inspect(run: Path, task: str, seed: int, goal: str | None, out: Path | None)
     drawn(out)
 
 
+@reward.command()
+@RUN
+@click.argument("file", type=click.Path(path_type=Path))
+@JSON
+def score(run: Path, file: Path, json_file: Path | None) -> None:
+    """Score every step of the episodes in a demonstration file."""
+    from giirl.run import reward_of_run
+    from giirl.run_reward import score_file, score_table
+
+    writable(json_file)
+    folder, config = _on_pages(run)
+    scored = score_file(config, reward_of_run(run), file)
+    if json_file is not None:
+        folder.write_json(json_file, scored)
+    Display().table(score_table(scored))
+
+
+@reward.command()
+@RUN
+@click.option("--port", default=0, show_default="any free one", type=click.IntRange(0, 65535), help="On loopback.")
+def serve(run: Path, port: int) -> None:
+    """Score what is sent to a loopback port, until Ctrl-C; giirl.scoring.ScoreClient asks."""
+    from giirl.run import reward_of_run
+    from giirl.run_reward import serve_reward
+
+    _, config = _on_pages(run)
+    weights = reward_of_run(run)
+
+    def tell(address: str) -> None:
+        click.echo(address)
+        Display().say(f"serving the reward of {run}, version {weights.version}; Ctrl-C ends it")
+
+    serve_reward(config, weights, port, tell)
+
+
 def _one_task(run: Path, task: str) -> tuple[RunFolder, Config]:
     """A run on web pages, to be looked at on one task."""
     from giirl.run_browser import check_tasks
 
+    folder, config = _on_pages(run, f'tasks=["{task}"]')
+    check_tasks(config)
+    return folder, config
+
+
+def _on_pages(run: Path, *changes: str) -> tuple[RunFolder, Config]:
+    """A run on web pages."""
     folder, _ = RunFolder.open(run)
-    config = load_config(folder.config_file, [f'tasks=["{task}"]'])
+    config = load_config(folder.config_file, changes)
     if config.world != "miniwob":
         raise ValueError(f"{run} learned in {config.world!r}, which has no pages; wanted a run of world = 'miniwob'")
-    check_tasks(config)
     return folder, config
