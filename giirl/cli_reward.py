@@ -8,7 +8,8 @@ import click
 
 from giirl.cli_demos import writable
 from giirl.cli_report import RUN, drawn
-from giirl.config import Config, load_config
+from giirl.config import Config
+from giirl.config_file import load_config
 from giirl.progress import Display
 from giirl.run_folder import RunFolder
 

@@ -6,7 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from giirl.config import Config, changed, dump_config
+from giirl.config import Config
+from giirl.config_file import changed, dump_config
 from giirl.files import whole_file
 from giirl.judged import Strip, scale_of
 from giirl.metrics import Metrics

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from giirl.config import load_config
+from giirl.config_file import load_config
 from giirl.judged import action_words, scale_of, value_elements
 from giirl.reward import RewardModel
 from giirl.spec import Action, EpisodeSpec, Goal, Observation, Page, Verb
