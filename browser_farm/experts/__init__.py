@@ -3,7 +3,7 @@
 Each is a function from what a policy sees to an action that a policy could take, and remembers nothing.
 """
 
-from browser_farm.experts import buttons, dates, forms, games, lists, mail, posts  # noqa: F401  (each enters its experts)
+from browser_farm.experts import buttons, dates, drags, forms, games, lists, mail, posts, shapes  # noqa: F401  (each enters its experts)
 from browser_farm.experts.sight import EXPERTS, expert
 
 __all__ = ["EXPERTS", "expert"]

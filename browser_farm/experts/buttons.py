@@ -98,9 +98,20 @@ def focus_the_nth_field(see: Sight) -> Action:
 
 @plays("click-menu")
 def walk_the_menu(see: Sight) -> Action:
+    """Rest the mouse on an entry, open what is below it with a key, click the last one."""
     path = see.words(r"Select (.+)$").split(">")
-    items = [rows[0] for name in path if (rows := see.rows(text=name))]
-    return see.click(items[-1])
+    entries = [row for name in path if (row := _entry(see, name)) is not None]
+    last = entries[-1]
+    if len(entries) == len(path):
+        return see.click(last)
+    if see.has(see.above(last, "li") if see.page.tag[last] == "t" else last, "ui-state-active"):
+        return see.press("ArrowRight", see.row("ul", kind="ui-menu"))
+    return see.hover(last)
+
+
+def _entry(see: Sight, name: str) -> int | None:
+    rows = see.rows(text=name)
+    return rows[0] if rows else None
 
 
 @plays("click-widget")
@@ -114,8 +125,3 @@ def open_the_pie(see: Sight) -> Action:
     label = see.row("tspan", see.quoted()[0])
     grown = see.page.box[label, 3] > 2
     return see.click(label if grown else see.row("tspan", "+"))
-
-
-@plays("sign-agreement")
-def sign_or_cancel(see: Sight) -> Action:
-    return see.press_button("Cancel")

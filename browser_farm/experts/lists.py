@@ -159,21 +159,3 @@ def find_the_contact(see: Sight) -> Action:
     if see.page.text[see.row(kind="name")] == name:
         return see.click(see.row("a", kind=what))
     return see.click(see.row("a", ">"))
-
-
-@plays("grid-coordinate")
-def click_the_coordinate(see: Sight) -> Action:
-    x, y = int(see.words(r"\((-?\d+),")), int(see.words(r",(-?\d+)\)"))
-    points = see.rows("circle")
-    columns = sorted({float(see.page.box[row, 0]) for row in points})
-    lines = sorted({float(see.page.box[row, 1]) for row in points}, reverse=True)
-    here = (columns[x + 2], lines[y + 2])
-    return see.click(next(row for row in points if (see.page.box[row, 0], see.page.box[row, 1]) == here))
-
-
-@plays("identify-shape")
-def name_the_shape(see: Sight) -> Action:
-    shape = see.leaf(see.row("svg"))
-    tag, text = see.page.tag[shape], see.page.text[shape]
-    names = {"rect": "Rectangle", "circle": "Circle", "polygon": "Triangle"}
-    return see.press_button(names.get(tag) or ("Number" if text.isdigit() else "Letter"))

@@ -2,8 +2,21 @@
 
 from __future__ import annotations
 
+import re
+
 from browser_farm.experts.sight import Sight, plays
 from giirl.spec import Action
+
+NAME = r"([A-Z][\w-]+(?: [A-Z][a-z]+)?)"
+RECIPIENT = (  # of a mail to be forwarded, in people's own words
+    rf"(?:[Ss]end|[Ff]orward|[Gg]ive)(?: to)? {NAME} [A-Z][\w-]+'s",
+    rf"(?:\bto:?|\bfor|sure|put|want|'s email) {NAME}\b(?!['-]| the message| sent)",
+    rf"\b(?:in|to) {NAME}'s",
+    rf"(?:[Ss]end|[Ff]orward|[Gg]ive|[Ss]how|[Ll]et|email) {NAME} (?:the|a|all|any|that|my|email|receive)",
+    rf"^{NAME} (?:wants|is waiting|must|needs|would|should)",
+)
+DELETE = r"(?i)delete|get rid|don't want|trash|remove|erase|garbage|throw|out of my|recycling"
+STAR = r"(?i)important|star\b|flag|mark"
 
 
 @plays(
@@ -24,12 +37,24 @@ def do_what_is_asked(see: Sight) -> Action:
     return _write(see, sender, "forward", see.words(r"forward that email to (.+)\.$"))
 
 
-def _thread(see: Sight, sender: str) -> int:
-    return see.above(see.row(text=sender, kind="email-sender"), kind="email-thread")
+@plays("email-inbox-nl-turk", "email-inbox-forward-nl", "email-inbox-forward-nl-turk")
+def do_what_is_wished(see: Sight) -> Action:
+    """People's own words. A few of them have sender and recipient the wrong way round; those are lost."""
+    reply, delete, star = ('"' in see.said, re.search(DELETE, see.said), re.search(STAR, see.said))
+    found = (re.search(pattern, see.said) for pattern in RECIPIENT)
+    recipient = "" if reply or delete or star else next(match[1] for match in found if match)
+    senders = {see.page.text[row] for row in see.rows(kind="email-sender")} - {recipient}
+    sender = max((name for name in senders if re.search(rf"{re.escape(name)}(?!\w)", see.said)), key=len, default="")
+    if reply:
+        return _write(see, sender, "reply", see.words(r'"+(.*?)\s?"+'))
+    if delete or star:
+        return _click_the_icon(see, sender, "trash" if delete else "star")
+    return _write(see, sender, "forward", recipient)
 
 
 def _click_the_icon(see: Sight, sender: str, icon: str) -> Action:
-    return see.click(see.row("span", kind=icon, inside=_thread(see, sender)))
+    thread = see.above(see.row(text=sender, kind="email-sender"), kind="email-thread")
+    return see.click(see.row("span", kind=icon, inside=thread))
 
 
 def _write(see: Sight, sender: str, how: str, text: str) -> Action:

@@ -7,9 +7,11 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from giirl.spec import NO_SPAN, Action, Observation, Page, Verb
+from giirl.spec import NO_ELEMENT, NO_SPAN, Action, Observation, Page, Verb
 
 QUOTED = re.compile(r'"(.*?)"')
+Offset = tuple[float, float]  # CSS px
+CENTRE: Offset = (0.0, 0.0)
 ORDINAL = re.compile(r"\b(\d+)(?:st|nd|rd|th)\b")
 
 
@@ -105,19 +107,32 @@ class Sight:
 
     # ---- actions
 
-    def click(self, row: int) -> Action:
-        return Action(verb=Verb.CLICK, element=row)
+    def click(self, row: int, at: Offset = CENTRE) -> Action:
+        return Action(verb=Verb.CLICK, element=row, at=at)
 
     def press_button(self, text: str) -> Action:
         """Click the button that reads exactly `text`."""
         return self.click(self.row("button", text))
 
+    def press(self, key: str, row: int = NO_ELEMENT) -> Action:
+        """A key or a chord, in a row or where the focus is."""
+        return Action(verb=Verb.PRESS, element=row, literal=key)
+
+    def hover(self, row: int) -> Action:
+        return Action(verb=Verb.HOVER, element=row)
+
+    def drag(self, row: int, to: int = NO_ELEMENT, at: Offset = CENTRE, by: Offset = CENTRE) -> Action:
+        """From a row, `by` so much or to another row and `by` so much from there."""
+        return Action(verb=Verb.DRAG, element=row, to=to, at=at, by=by)
+
+    def scroll(self, row: int, down: float) -> Action:
+        return Action(verb=Verb.SCROLL, element=row, by=(0.0, down))
+
     def type(self, row: int, text: str) -> Action:
-        """Type into a field: a span of the instruction."""
+        """Replace what a field holds: with words of the instruction where it has them."""
         start, end = self.seen.goal.find(text)
-        if start == NO_SPAN:
-            raise ValueError(f"{text!r} is not in the instruction {self.said!r}")
-        return Action(verb=Verb.TYPE, element=row, start=start, end=end)
+        literal = text if start == NO_SPAN else ""
+        return Action(verb=Verb.TYPE, element=row, start=start, end=end, literal=literal)
 
     def fill(self, wanted: dict[int, str]) -> Action | None:
         """Type into the first field that does not hold what it should; None when all do."""
@@ -127,18 +142,22 @@ class Sight:
         return None
 
 
-Expert = Callable[[Sight], Action]
-EXPERTS: dict[str, Expert] = {}
+class Stuck(ValueError):
+    """The expert finds nothing to do on a page."""
 
 
-def plays(*tasks: str) -> Callable[[Expert], Expert]:
+Player = Callable[[Sight], Action]
+EXPERTS: dict[str, Player] = {}
+
+
+def plays(*tasks: str) -> Callable[[Player], Player]:
     """Name the tasks that a function plays."""
 
-    def enter(function: Expert) -> Expert:
+    def enter(player: Player) -> Player:
         for task in tasks:
             assert task not in EXPERTS, f"two experts for {task}"
-            EXPERTS[task] = function
-        return function
+            EXPERTS[task] = player
+        return player
 
     return enter
 
@@ -147,8 +166,13 @@ def expert(task: str) -> Callable[[Observation], Action]:
     """The scripted player of a task; it sees what a policy sees and nothing else."""
     if task not in EXPERTS:
         near = difflib.get_close_matches(task, EXPERTS, n=1, cutoff=0.0)[0]
-        raise ValueError(
-            f"there is no scripted expert for task {task!r}: did you mean {near!r}? ({len(EXPERTS)} tasks)"
-        )
-    function = EXPERTS[task]
-    return lambda observation: function(Sight(observation))
+        raise ValueError(f"no scripted expert plays {task!r}: did you mean {near!r}? ({len(EXPERTS)} tasks have one)")
+    player = EXPERTS[task]
+
+    def play(seen: Observation) -> Action:
+        try:
+            return player(Sight(seen))
+        except (ValueError, LookupError, StopIteration) as error:
+            raise Stuck(f"the expert of {seen.episode} finds nothing to do: {error}") from error
+
+    return play
