@@ -19,7 +19,7 @@ TAMPERED = 2
 GONE = "gone"  # what a document without an open episode answers
 WAIT = "wait"  # the page is still loading: LATER has the answer
 LATER = "giirl.later()"
-SCRIPTS = ("keyboard", "gestures", "reading", "page")
+SCRIPTS = ("clock", "focus", "keyboard", "gestures", "reading", "frame", "page")
 
 
 @functools.cache
@@ -28,7 +28,9 @@ def script() -> str:
     here = Path(__file__)
     parts = [here.with_name(f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS]
     codes = json.dumps({**keys.NAMED, **keys.CODES})
-    return f"(() => {{\nconst KEY_CODES = {codes};\n" + "\n".join(parts) + "\n})();\n"
+    return (
+        f"(() => {{\nif ('giirlFrame' in window) return;\nconst KEY_CODES = {codes};\n" + "\n".join(parts) + "\n})();\n"
+    )
 
 
 def start_call(episode: EpisodeSpec) -> str:
