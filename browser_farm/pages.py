@@ -23,10 +23,10 @@ SCRIPTS = ("clock", "focus", "keyboard", "gestures", "reading", "frame", "page")
 
 
 @functools.cache
-def script() -> str:
-    """The source that Chrome runs in every document before the page's own scripts."""
+def script(*first: str) -> str:
+    """The source that Chrome runs in every document before the page's own scripts; `first` goes before all others."""
     here = Path(__file__)
-    parts = [here.with_name(f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS]
+    parts = [here.with_name(f"{name}.js").read_text(encoding="utf-8") for name in (*first, *SCRIPTS)]
     codes = json.dumps({**keys.NAMED, **keys.CODES})
     return (
         f"(() => {{\nif ('giirlFrame' in window) return;\nconst KEY_CODES = {codes};\n" + "\n".join(parts) + "\n})();\n"

@@ -195,5 +195,5 @@ const reading = (() => {
     canvas.fill = function fillNoted(...path) { shown(this, this.fillStyle); fill.apply(this, path); };
   }
 
-  return { walk, flat, forget, nodeOf: (ref) => nodes[ref] };
+  return { walk, flat, forget, refOf, nodeOf: (ref) => nodes[ref] };
 })();

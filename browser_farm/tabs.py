@@ -111,6 +111,10 @@ class Tabs:
         """Stop the script that runs in a tab."""
         self._tools.post(self._tabs[tab].session, "Runtime.terminateExecution")
 
+    def show(self, tab: int) -> None:
+        """Bring a tab to the front, where a person can see and use it."""
+        self._tools.post(self._tabs[tab].session, "Page.bringToFront")
+
     def replace(self, tab: int) -> None:
         """Give up a tab that does not come back, and open another in its place."""
         old = self._tabs[tab]

@@ -14,7 +14,7 @@ from giirl.progress import Display
 from giirl.spec import Episode
 from giirl.wire import read_episodes, write_episodes
 
-STEPS = "step_limit=60"  # twice what the longest-winded expert needs
+STEPS = "step_limit=100"  # more than any expert needs: a good price may take 76 to come
 OUT = click.option("--out", required=True, type=click.Path(path_type=Path), help="The file to write.")
 TASKS = click.option("--task", "tasks", multiple=True, help="A task; may be given again. The thesis's four if not.")
 
@@ -61,6 +61,23 @@ def experts(tasks: tuple[str, ...], episodes: int, seed: int, json_file: Path | 
             file.write(json.dumps(result, indent=1).encode() + b"\n")
     Display().table(experts_table(result))
     Display().say(f"{result['at_99']} of {len(names)} tasks at 99 % or more, {result['seconds']:.0f} s")
+
+
+@demos.command()
+@OUT
+@TASKS
+@click.option("--per-task", default=10, show_default=True, type=click.IntRange(1), help="Pages a task.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Other seeds, other pages.")
+def record(out: Path, tasks: tuple[str, ...], per_task: int, seed: int) -> None:
+    """Record what you do in a Chrome window; Ctrl-C ends it and keeps what is finished.
+
+    Clicks, typing, drags, keys and scrolled text become actions, failures stay, marked. A mouse that only rests
+    somewhere is not recorded.
+    """
+    from giirl.run_record import record
+
+    writable(out)
+    _save(out, record(tasks or DEFAULT_TASKS, per_task, seed, Display()), wanted=None)
 
 
 @demos.command(name="import")

@@ -100,14 +100,12 @@ def focus_the_nth_field(see: Sight) -> Action:
 
 @plays("click-menu")
 def walk_the_menu(see: Sight) -> Action:
-    """Rest the mouse on an entry, open what is below it with a key, click the last one."""
+    """Rest the mouse on an entry until what is below it opens, click the last one."""
     path = see.words(r"Select (.+)$").split(">")
     entries = [row for name in path for row in see.rows(text=name)]
     last = entries[-1]
     if len(entries) == len(path):
         return see.click(last)
-    if see.has(int(see.page.parent[last]), "ui-state-active"):
-        return see.press("ArrowRight", see.row("ul", kind="ui-menu"))
     return see.hover(last)
 
 

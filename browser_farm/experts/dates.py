@@ -50,7 +50,7 @@ def _fly(see: Sight, field: int, place: str) -> Action | None:
     value = see.page.value[field]
     if place in value and value.endswith(")"):
         return None
-    return see.fill({field: place}) or take_suggestion(see, field, lambda name: place in name)
+    return see.fill({field: place}) or take_suggestion(see, lambda name: place in name)
 
 
 def _price(see: Sight, flight: int) -> int:

@@ -210,17 +210,13 @@ def enter_an_item(see: Sight) -> Action:
     if len(value) > len(start) and value.startswith(start) and value.endswith(end):
         return see.press_button("Submit")
     action = see.fill({field: start})
-    return action or take_suggestion(see, field, lambda name: name.startswith(start) and name.endswith(end))
+    return action or take_suggestion(see, lambda name: name.startswith(start) and name.endswith(end))
 
 
-def take_suggestion(see: Sight, field: int, fits: Callable[[str], bool]) -> Action:
-    """Click what fits among the suggestions below a field, once they are shown."""
+def take_suggestion(see: Sight, fits: Callable[[str], bool]) -> Action:
+    """Click what fits among the suggestions below a field."""
     suggested = see.rows("div", kind="ui-menu-item-wrapper")
-    if suggested:
-        return see.click(see.leaf(next(row for row in suggested if fits(see.reading(row)))))
-    if see.seen.episode.task.endswith("-nodelay"):
-        return see.click(field)  # time enough
-    return see.press("ArrowDown", field)  # the page thinks for a third of a second, unless asked so
+    return see.click(see.leaf(next(row for row in suggested if fits(see.reading(row)))))
 
 
 @plays("terminal")

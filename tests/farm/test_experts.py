@@ -78,7 +78,7 @@ def test_rows_are_found_by_what_they_are_and_by_what_they_lie_in() -> None:
     assert see.rows("p", "a") == [1, 3]
     assert see.rows("p", "a", inside=2) == [3]
     assert see.row(kind="x") == 2
-    assert (see.below(2), see.leaf(2), see.reading(2)) == ([3, 4], 4, "a b")
+    assert (see.page.below(2), see.leaf(2), see.reading(2)) == ([3, 4], 4, "a b")
     assert (see.above(4, kind="two"), see.above(4, "p")) == (2, 3)
     with pytest.raises(ValueError, match="lies in no"):
         see.above(4, kind="one")
@@ -123,6 +123,6 @@ def test_every_expert_succeeds_on_real_pages() -> None:
     won: Counter[str] = Counter()
     schedule = Schedule(sorted(EXPERTS), 8, purpose=Purpose.INSPECT, run_seed=2, quota=2)
     with ChromeFarm(tabs=8) as farm:
-        for finished in play(farm, ExpertChooser(expert), schedule, step_limit=60, metrics=Metrics()):
+        for finished in play(farm, ExpertChooser(expert), schedule, step_limit=100, metrics=Metrics()):
             won.update(episode.trajectory.task for episode in finished if episode.outcome.success)
     assert {task for task in EXPERTS if won[task] < 2} <= SOMETIMES_LOST
