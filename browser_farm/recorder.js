@@ -10,6 +10,8 @@ const recorder = (() => {
   const MODIFIERS = ['Control', 'Alt', 'Meta', 'Shift'];
   const BUTTONS = new Set(['button', 'submit', 'reset', 'checkbox', 'radio', 'image', 'range', 'color', 'file']);
 
+  const { setTimeout, Date } = window;  // a person's time, before the page's own takes their place
+
   let steps = [];
   let down = null;    // where the mouse button went down: {page, target, x, y, dragged, places}
   let typing = null;  // the field that is being typed into: {page, field, before, keys, click}
@@ -25,7 +27,7 @@ const recorder = (() => {
   function push(one) {
     steps.push(one);
     relayed = one;
-    clock.native.setTimeout(() => { if (relayed === one) relayed = null; });
+    setTimeout(() => { if (relayed === one) relayed = null; });
   }
 
   function endTyping() {
@@ -86,9 +88,11 @@ const recorder = (() => {
   function onClick(event) {
     const { target } = event;
     if (target.closest && target.closest('select')) return;  // its change tells more
-    if (event.detail === 0) {
+    const last = steps[steps.length - 1];
+    const passed = relayed !== null && relayed.verb === CLICK && target.labels
+      && [...target.labels].some((label) => label.contains(reading.nodeOf(relayed.ref)));
+    if (passed || event.detail === 0) {
       // Passed on by a label, or made by a key: what it reaches is what was meant.
-      const last = steps[steps.length - 1];
       const cause = last && last.verb === PRESS && last.text === ' ' ? last : relayed;  // the space bar acts when let go
       if (cause !== null) Object.assign(cause, { verb: CLICK, ref: reading.refOf(target), text: '', ...middle(target) });
       else push({ ...step(CLICK, target), ...middle(target) });
@@ -168,13 +172,13 @@ const recorder = (() => {
   // A person's time does not stand still.
   let since = null;
   function tick() {
-    const now = clock.native.Date.now();
+    const now = Date.now();
     if (since !== null && window.giirl && giirl.isOpen() && !WOB_DONE_GLOBAL) clock.pass(now - since, Infinity);
     since = now;
-    clock.native.setTimeout(tick, TICK_MS);
+    setTimeout(tick, TICK_MS);
   }
 
-  clock.native.setTimeout(tick, TICK_MS);
+  setTimeout(tick, TICK_MS);
 
   // The steps since the last call: [columns, verb, ref, text, x, y, dx, dy] each; those of a field not left yet come later.
   function take() {

@@ -45,22 +45,24 @@ def make(out: Path, tasks: tuple[str, ...], per_task: int, seed: int, browser: s
 @click.option("--task", "tasks", multiple=True, help="A task; may be given again. Every task with an expert if not.")
 @click.option("--episodes", default=200, show_default=True, type=click.IntRange(1), help="Pages a task.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Other seeds, other pages.")
-@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write the result here.")
-def experts(tasks: tuple[str, ...], episodes: int, seed: int, json_file: Path | None) -> None:
+@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write the result here, task by task.")
+@click.option("--go-on", is_flag=True, help="Keep what the --json file has, and play the tasks that it lacks.")
+def experts(tasks: tuple[str, ...], episodes: int, seed: int, json_file: Path | None, go_on: bool) -> None:
     """How often the scripted experts succeed."""
     from browser_farm.experts import EXPERTS
     from giirl.metrics import Metrics
-    from giirl.run_experts import experts_table, measure
+    from giirl.run_experts import experts_table, known, measure
 
     writable(json_file)
     names = list(tasks or sorted(EXPERTS))
     config = load_config(None, [f"tasks={names!r}", f"seed={seed}", STEPS])
-    result = measure(config, episodes, Metrics(), Display())
-    if json_file is not None:
-        with whole_file(json_file) as file:
-            file.write(json.dumps(result, indent=1).encode() + b"\n")
+    rows = known(json_file, episodes, seed) if go_on and json_file is not None else {}
+    result = {"episodes": episodes, "seed": seed, "tasks": rows}
+    for result in measure(config, episodes, Metrics(), Display(), rows):
+        if json_file is not None:
+            with whole_file(json_file) as file:
+                file.write(json.dumps(result, indent=1).encode() + b"\n")
     Display().table(experts_table(result))
-    Display().say(f"{result['at_99']} of {len(names)} tasks at 99 % or more, {result['seconds']:.0f} s")
 
 
 @demos.command()

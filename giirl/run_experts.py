@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,28 +25,35 @@ from giirl.statistics import Score
 GOOD = 0.99
 
 
-def measure(config: Config, episodes: int, metrics: Metrics, display: Display) -> dict[str, Any]:
-    """Play `episodes` pages of each of the config's tasks, and say how it went."""
+def measure(
+    config: Config, episodes: int, metrics: Metrics, display: Display, rows: dict[str, Any]
+) -> Iterator[dict[str, Any]]:
+    """Play `episodes` pages of each of the config's tasks that `rows` lacks; the result so far after every task."""
     for task in config.tasks:
         expert(task)
-    since_s = time.monotonic()
+    tasks = [task for task in config.tasks if task not in rows]
     browser = open_browser(config, metrics)
-    rows: dict[str, Any] = {}
     try:
-        with display.job("experts play", episodes * len(config.tasks)) as job:
-            for task in config.tasks:  # one after another, so that every tab has work until the end
+        with display.job("experts play", episodes * len(tasks)) as job:
+            for task in tasks:  # one after another, so that every tab has work until the end
+                since_s = time.monotonic()
                 played = _play(config, browser, task, episodes, metrics)
-                rows[task] = _row(played)
+                rows[task] = {**_row(played), "seconds": round(time.monotonic() - since_s, 1)}
                 job.advance(len(played), task)
+                yield {"episodes": episodes, "seed": config.seed, "tasks": dict(sorted(rows.items()))}
     finally:
         browser.close()
-    return {
-        "episodes": episodes,
-        "seed": config.seed,
-        "seconds": round(time.monotonic() - since_s, 1),
-        "at_99": sum(row["success"] >= GOOD for row in rows.values()),
-        "tasks": rows,
-    }
+
+
+def known(file: Path, episodes: int, seed: int) -> dict[str, Any]:
+    """The rows of an earlier result; ValueError where it was measured otherwise."""
+    result = json.loads(file.read_bytes()) if file.exists() else {"episodes": episodes, "seed": seed, "tasks": {}}
+    if (result["episodes"], result["seed"]) != (episodes, seed):
+        raise ValueError(
+            f"{file} has {result['episodes']} episodes of seed {result['seed']}: wanted {episodes} of seed {seed}"
+        )
+    rows: dict[str, Any] = result["tasks"]
+    return rows
 
 
 def _play(config: Config, browser: Browser, task: str, episodes: int, metrics: Metrics) -> list[Episode]:
@@ -73,7 +82,9 @@ def _row(played: Sequence[Episode]) -> dict[str, Any]:
 
 def experts_table(result: dict[str, Any]) -> Table:
     """Task, success with its interval, steps, verbs, and whether the nets could learn it."""
-    table = Table(title=f"scripted experts, {result['episodes']} pages a task, seed {result['seed']}")
+    at_99 = sum(row["success"] >= GOOD for row in result["tasks"].values())
+    title = f"scripted experts, {result['episodes']} pages a task, seed {result['seed']}"
+    table = Table(title=f"{title}: {at_99} of {len(result['tasks'])} at 99 % or more")
     table.add_column("task")
     for name in ("success", "95 %", "median steps", "most"):
         table.add_column(name, justify="right")
