@@ -47,7 +47,9 @@ def measure(
 
 def known(file: Path, episodes: int, seed: int) -> dict[str, Any]:
     """The rows of an earlier result; ValueError where it was measured otherwise."""
-    result = json.loads(file.read_bytes()) if file.exists() else {"episodes": episodes, "seed": seed, "tasks": {}}
+    if not file.exists():
+        return {}
+    result = json.loads(file.read_bytes())
     if (result["episodes"], result["seed"]) != (episodes, seed):
         raise ValueError(
             f"{file} has {result['episodes']} episodes of seed {result['seed']}: wanted {episodes} of seed {seed}"

@@ -200,6 +200,7 @@ class Scripted:
 
 @pytest.mark.parametrize("end", [KeyboardInterrupt(), BrowserGone("closed")])
 def test_whatever_ends_the_recording_what_is_finished_stays(end: BaseException) -> None:
+    click = Action(verb=Verb.CLICK, element=0)
     finished = Episode(
         trajectory=trajectory("Click Ok.", [FLAT], [click]),
         outcome=Outcome(raw_reward=-1.0, ended=True),
