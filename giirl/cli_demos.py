@@ -55,7 +55,7 @@ def experts(tasks: tuple[str, ...], episodes: int, seed: int, json_file: Path | 
 
     writable(json_file)
     names = list(tasks or sorted(EXPERTS))
-    config = load_config(None, [f"tasks={names!r}", f"seed={seed}", STEPS])
+    config = load_config(None, [f"tasks={names!r}", f"seed={seed}", "actors.tabs=16", STEPS])
     rows = known(json_file, episodes, seed) if go_on and json_file is not None else {}
     result = {"episodes": episodes, "seed": seed, "tasks": rows}
     for result in measure(config, episodes, Metrics(), Display(), rows):

@@ -21,7 +21,7 @@ def stats_table(title: str, episodes: Sequence[Episode]) -> Table:
     """Per task: episodes, successes, goals, steps, elements, verbs."""
     table = Table(title=title)
     for name in ("task", "episodes", "succeeded", "goals", "median steps", "median elements", "verbs"):
-        table.add_column(name, justify="left" if name in ("task", "verbs") else "right")
+        table.add_column(name, justify="left" if name in ("task", "verbs") else "right", no_wrap=name == "task")
     for task in sorted({episode.trajectory.task for episode in episodes}):
         mine = [episode for episode in episodes if episode.trajectory.task == task]
         elements = [len(page) for episode in mine for page in episode.trajectory.pages]

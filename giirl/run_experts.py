@@ -49,12 +49,13 @@ def known(file: Path, episodes: int, seed: int) -> dict[str, Any]:
     """The rows of an earlier result; ValueError where it was measured otherwise."""
     if not file.exists():
         return {}
-    result = json.loads(file.read_bytes())
-    if (result["episodes"], result["seed"]) != (episodes, seed):
-        raise ValueError(
-            f"{file} has {result['episodes']} episodes of seed {result['seed']}: wanted {episodes} of seed {seed}"
-        )
-    rows: dict[str, Any] = result["tasks"]
+    try:
+        result = json.loads(file.read_bytes())
+        measured, rows = (result["episodes"], result["seed"]), dict(result["tasks"])
+    except (ValueError, LookupError, TypeError) as error:
+        raise ValueError(f"{file} is no result of giirl demos experts: {error!r}") from error
+    if measured != (episodes, seed):
+        raise ValueError(f"{file} has (episodes, seed) {measured}: wanted {(episodes, seed)}, or another file")
     return rows
 
 
@@ -87,7 +88,7 @@ def experts_table(result: dict[str, Any]) -> Table:
     at_99 = sum(row["success"] >= GOOD for row in result["tasks"].values())
     title = f"scripted experts, {result['episodes']} pages a task, seed {result['seed']}"
     table = Table(title=f"{title}: {at_99} of {len(result['tasks'])} at 99 % or more")
-    table.add_column("task")
+    table.add_column("task", no_wrap=True)
     for name in ("success", "95 %", "median steps", "most"):
         table.add_column(name, justify="right")
     table.add_column("verbs")
