@@ -6,12 +6,12 @@ import json
 import math
 import time
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 
 from browser_farm import pages
+from browser_farm.devtools import BrowserGone
 from browser_farm.miniwob import page_url
 from browser_farm.tabs import Failure, Tabs
 from giirl.keys import chord
@@ -37,7 +37,7 @@ TAKE = "window.giirlRecorder&&window.giirl&&giirl.isOpen()?giirlRecorder.take():
 
 
 class Interrupted(Exception):
-    """The page is gone before its episode was over: it was left, closed or crashed."""
+    """The page is gone before its episode was over."""
 
 
 class Recorder:
@@ -66,22 +66,14 @@ class Recorder:
             self.close()
             raise
 
-    def __enter__(self) -> Recorder:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def close(self) -> None:
         self._tabs.close()
 
     def record(self, spec: EpisodeSpec, tell: Callable[[str], None]) -> Episode | None:
         """Open a page, `tell` its instruction, and return what was done; None for an episode without a step.
 
-        A person may take any time: only the calls to the page have a deadline, and Interrupted ends the wait when
-        the page is not there any more. BrowserGone is raised when Chrome was closed.
+        A person may take any time: only the calls to the page have a deadline. Interrupted ends the wait when the page
+        was left, BrowserGone when its tab or all of Chrome was closed.
         """
         goal = self._open(spec)
         tell(goal.utterance)
@@ -106,6 +98,8 @@ class Recorder:
 
     def _ask(self, expression: str, *, promised: bool = False) -> str:
         answer = self._tabs.evaluate({TAB: expression}, promised=promised)[TAB]
+        if isinstance(answer, Failure) and answer.cause == "tab_crashed":
+            raise BrowserGone("the tab was closed, or crashed")
         if isinstance(answer, Failure):
             raise Interrupted(f"{answer.cause} {answer.words}".strip())
         if answer == pages.GONE:

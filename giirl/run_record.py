@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 
 from browser_farm.devtools import BrowserGone
 from browser_farm.miniwob import page_url
@@ -26,7 +27,7 @@ def record(tasks: Sequence[str], per_task: int, seed: int, display: Display) -> 
         for task in tasks
         for index in range(per_task)
     ]
-    with Recorder() as recorder:
+    with closing(Recorder()) as recorder:
         return list(watch(recorder, pages, display))
 
 
@@ -38,8 +39,8 @@ def watch(recorder: Recorder, pages: Sequence[EpisodeSpec], display: Display) ->
             episode = recorder.record(page, lambda goal, where=where: display.say(f"{where}  {goal}"))  # type: ignore[misc]
         except Interrupted as error:
             display.say(f"{where}  lost: {error}")
-        except BrowserGone:
-            display.say("the window was closed")
+        except BrowserGone as error:
+            display.say(f"{where}  ended: {error}")
             return
         except KeyboardInterrupt:
             display.say("stopped")

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from browser_farm.devtools import BROWSER
 from browser_farm.recorder import TAB, Recorder
 from giirl.keys import MODIFIERS, key_code
 
@@ -71,6 +72,9 @@ class Hand:
         }
         self._send("Input.dispatchKeyEvent", type="keyDown" if text else "rawKeyDown", text=text, **told)
         self._send("Input.dispatchKeyEvent", type="keyUp", **told)
+
+    def close(self) -> None:
+        self._tabs._tools.call(BROWSER, "Target.closeTarget", {"targetId": self._tabs._tabs[TAB].target}, timeout_s=5.0)
 
     def _mouse(self, kind: str, x: float, y: float) -> None:
         self._send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from typing import Any, cast
 
 import pytest
@@ -22,7 +23,7 @@ Play = Callable[[Hand, str], None]  # what the hand does about an instruction
 
 @pytest.fixture(scope="module")
 def recorder() -> Iterator[Recorder]:
-    with Recorder(headless=True) as recorder:
+    with closing(Recorder(headless=True)) as recorder:
         yield recorder
 
 
@@ -175,6 +176,12 @@ def test_a_page_that_is_left_interrupts_the_episode_alone(recorder: Recorder) ->
     with pytest.raises(Interrupted):
         recorded(recorder, "click-test", leave)
     assert recorded(recorder, "click-test", lambda hand, goal: hand.click("button")).outcome.success
+
+
+@pytest.mark.chrome
+def test_a_tab_that_is_closed_ends_the_recording() -> None:
+    with closing(Recorder(headless=True)) as recorder, pytest.raises(BrowserGone, match="the tab was closed"):
+        recorded(recorder, "click-test", lambda hand, goal: hand.close())
 
 
 @pytest.mark.chrome
