@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from giirl.config import DEFAULT_TASKS, load_config
+from giirl.config import DEFAULT_TASKS
+from giirl.config_file import load_config
 from giirl.demo_stats import stats_table
 from giirl.files import whole_file
 from giirl.progress import Display
