@@ -29,7 +29,8 @@ class Hub:
     A crash takes all of them; a page that does not come back holds up the others until it is interrupted.
     """
 
-    def __init__(self, tools: DevTools, url: str, numbers: Sequence[int], *, timeout_s: float) -> None:
+    def __init__(self, tools: DevTools, url: str, numbers: Sequence[int], *, script: str, timeout_s: float) -> None:
+        self._script = script
         self._tools = tools
         self._timeout_s = timeout_s
         blank = {"url": "about:blank", "background": True}
@@ -82,7 +83,7 @@ class Hub:
         for info in self._call(BROWSER, "Target.getTargets")["targetInfos"]:
             if info.get("openerId") == self.page.target and info["targetId"] not in known:
                 tab = self._attach(info["targetId"])
-                source = {"source": pages.script()}
+                source = {"source": self._script}
                 self._call(tab.session, "Page.addScriptToEvaluateOnNewDocument", source)
                 return tab
         raise RuntimeError(f"tab {number} did not open")

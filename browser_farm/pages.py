@@ -29,9 +29,9 @@ def source(name: str) -> str:
 
 
 @functools.cache
-def script() -> str:
-    """The source that Chrome runs in every document before the page's own scripts."""
-    parts = [source(name) for name in SCRIPTS]
+def script(*first: str) -> str:
+    """The source that Chrome runs in every document before the page's own scripts; `first` goes before all others."""
+    parts = [source(name) for name in (*first, *SCRIPTS)]
     codes = json.dumps({**keys.NAMED, **keys.CODES})
     return (
         f"(() => {{\nif ('giirlFrame' in window) return;\nconst KEY_CODES = {codes};\n" + "\n".join(parts) + "\n})();\n"

@@ -37,12 +37,14 @@ class Tabs:
         self,
         count: int,
         *,
+        script: str,
         call_timeout_s: float,
         launch_timeout_s: float,
         headless: bool,
         no_sandbox: bool | None,
     ) -> None:
         self._count = count
+        self._script = script
         self._call_timeout_s = call_timeout_s
         self._launch_timeout_s = launch_timeout_s
         self._headless = headless
@@ -79,7 +81,15 @@ class Tabs:
         self._hubs.clear()
 
     def ask(self, questions: Mapping[int, pages.Json]) -> dict[int, Any | Failure]:
-        """Ask the pages of many tabs, one call for each process, and have their answers as values.
+        """Ask the pages of many tabs, and have their answers as values; a page that still loads is waited for."""
+        answers = self._ask_hubs(questions)
+        later = {tab: pages.LATER for tab, answer in answers.items() if answer == pages.WAIT}
+        for tab, text in (self.evaluate(later, promised=True) if later else {}).items():
+            answers[tab] = json.loads(text) if isinstance(text, str) else text
+        return answers
+
+    def _ask_hubs(self, questions: Mapping[int, pages.Json]) -> dict[int, Any | Failure]:
+        """One call for each process.
 
         A page that does not come back is interrupted; the tabs behind it in its process are asked again.
         """
@@ -146,6 +156,10 @@ class Tabs:
         """Whether the process of this tab is gone."""
         return self._hub(tab).crashed
 
+    def show(self, tab: int) -> None:
+        """Bring a tab to the front, where a person can see and use it."""
+        self._tools.post(self._tab(tab).session, "Page.bringToFront")
+
     @property
     def _tools(self) -> DevTools:
         if self._devtools is None:
@@ -163,7 +177,7 @@ class Tabs:
     def _open_hub(self, numbers: Sequence[int]) -> Hub:
         tools = self._tools
         try:
-            hub = Hub(tools, self.chrome.hub_url, numbers, timeout_s=self._launch_timeout_s)
+            hub = Hub(tools, self.chrome.hub_url, numbers, script=self._script, timeout_s=self._launch_timeout_s)
             # A tab that is shown draws frames. The one that Chrome began with draws nothing.
             shown = {"targetId": self.chrome.first_target}
             tools.call(BROWSER, "Target.activateTarget", shown, timeout_s=self._launch_timeout_s)
