@@ -12,7 +12,18 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-TYPABLE_TAGS = frozenset({"input_text", "input_password", "input_email", "input_search", "input_number", "textarea"})
+TYPABLE_TAGS = frozenset(
+    {
+        "input_text",
+        "input_password",
+        "input_email",
+        "input_search",
+        "input_number",
+        "input_date",
+        "input_time",
+        "textarea",
+    }
+)
 NO_SPAN = -1
 UNSCORED = -1
 DEMONSTRATION = -1
