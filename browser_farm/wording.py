@@ -18,7 +18,7 @@ def wording(goal: Goal, held: str) -> tuple[int, int]:
     day that they name (which is how date and time fields keep them).
     """
     named = [words for words, kept in _moments(goal.utterance) if kept == held]
-    for text in (held, *named):
+    for text in (*named, held):  # "11:12" is also the beginning of "11:12 AM"
         span = goal.find(text)
         if span[0] != NO_SPAN:
             return span

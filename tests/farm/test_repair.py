@@ -234,6 +234,7 @@ def test_a_slider_is_refused_because_policies_cannot_type_into_it(tmp_path: Path
         ("date", "Enter 02/08/2019 as the date.", "2019-02-08", "02/08/2019"),
         ("time", "Enter 7:16 PM as the time.", "19:16", "7:16 PM"),
         ("time", "Enter 12:05 AM as the time.", "00:05", "12:05 AM"),
+        ("time", "Enter 11:12 AM as the time.", "11:12", "11:12 AM"),
         ("text", "Search for movies by Russo from 1974.", "russo ", "Russo"),
         ("text", "Choose ok or Ok.", "Ok", "Ok"),
     ],
