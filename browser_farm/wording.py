@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from giirl.spec import NO_SPAN, TOKEN, Goal
 
 DATE = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{4})")
-CLOCK = re.compile(r"(\d{1,2}):(\d{2}) ([AP])M")
+CLOCK = re.compile(r"(\d{1,2}):(\d{2})(?: ([AP])M)?")
 
 
 def wording(goal: Goal, held: str) -> tuple[int, int]:
@@ -38,4 +38,5 @@ def _moments(utterance: str) -> Iterator[tuple[str, str]]:
         yield found.group(), f"{year}-{int(month):02}-{int(day):02}"
     for found in CLOCK.finditer(utterance):
         hour, minute, half = found.groups()
-        yield found.group(), f"{int(hour) % 12 + (12 if half == 'P' else 0):02}:{minute}"
+        since_midnight = int(hour) % 12 + (12 if half == "P" else 0) if half else int(hour)
+        yield found.group(), f"{since_midnight:02}:{minute}"

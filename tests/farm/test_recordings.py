@@ -195,7 +195,7 @@ def asked(trajectory: Trajectory) -> list[tuple[str, str, str, str]]:
     """What the instruction asks for: verb, tag, its words, what to type."""
     quoted = re.findall('"(.*?)"', trajectory.goal.utterance)
     dates = re.findall(r"\d+/\d+/\d+", trajectory.goal.utterance)
-    times = re.findall(r"\d+:\d+ [AP]M", trajectory.goal.utterance)
+    times = re.findall(r"\d+:\d+(?: [AP]M)?", trajectory.goal.utterance)
     return {
         "click-test": [("CLICK", "button", "Click Me!", "")],
         "click-test-2": [("CLICK", "button", "ONE", "")],

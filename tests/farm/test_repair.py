@@ -235,6 +235,7 @@ def test_a_slider_is_refused_because_policies_cannot_type_into_it(tmp_path: Path
         ("time", "Enter 7:16 PM as the time.", "19:16", "7:16 PM"),
         ("time", "Enter 12:05 AM as the time.", "00:05", "12:05 AM"),
         ("time", "Enter 11:12 AM as the time.", "11:12", "11:12 AM"),
+        ("time", "Enter 9:05 as the time.", "09:05", "9:05"),
         ("text", "Search for movies by Russo from 1974.", "russo ", "Russo"),
         ("text", "Choose ok or Ok.", "Ok", "Ok"),
     ],
