@@ -102,15 +102,15 @@
     return reading.flat(String(typeof said === 'object' && said !== null ? said.utterance : said));
   }
 
-  function start(seed) {
+  function start(seed, mode) {
     hush();
     for (let turn = 0; turn < 2 && ![null, document.body].includes(document.activeElement); turn += 1) {
       document.activeElement.blur();  // once for what is pressed, once for what has the real focus
     }
     gestures.forget();
     keyboard.forget();
-    reading.forget();
-    core.setDataMode('train');
+    view.forget();
+    core.setDataMode(mode);
     Math.seedrandom(seed);
     core.startEpisodeReal();
     open = true;
@@ -129,24 +129,25 @@
 
   let waited = null;  // the answer that step() could not give at once
 
-  function opened(seed, reward, done) {
-    const reply = () => JSON.stringify([reward, done, reading.walk(), utterance()]);
-    const wait = start(seed);
+  function opened([seed, mode], reward, done, ...reason) {
+    const reply = () => JSON.stringify([reward, done, view.walk(), utterance(), ...reason]);
+    const wait = start(seed, mode);
     if (wait === null) return reply();
     waited = wait.then(reply);
     return 'wait';  // asking Chrome to wait for every answer would cost each step a third more
   }
 
-  // seed is null when no episode of this task follows.
-  function step([verb, ref, text, x, y, dx, dy, to], last, seed) {
+  // next is null when no episode of this task follows.
+  function step([verb, ref, text, x, y, dx, dy, to], last, next) {
     gestures.act({
-      verb, text, node: reading.nodeOf(ref), at: { x, y }, by: { x: dx, y: dy }, to: reading.nodeOf(to),
+      verb, text, node: view.nodeOf(ref), at: { x, y }, by: { x: dx, y: dy }, to: view.nodeOf(to),
     });
     const done = WOB_DONE_GLOBAL === true;
     const reward = done ? Number(WOB_RAW_REWARD_GLOBAL) || 0 : 0;
-    if (!done && !last) return JSON.stringify([reward, done, reading.walk(), null]);
+    const reason = done && WOB_REWARD_REASON ? [String(WOB_REWARD_REASON)] : [];
+    if (!done && !last) return JSON.stringify([reward, done, view.walk(), null]);
     open = false;
-    return seed === null ? JSON.stringify([reward, done, null, null]) : opened(seed, reward, done);
+    return next === null ? JSON.stringify([reward, done, null, null, ...reason]) : opened(next, reward, done, ...reason);
   }
 
   let icons = null;  // held so that they stay in memory
@@ -165,11 +166,11 @@
     return Promise.race([settled(icons), new Promise((go) => setTimeout(go, IMAGES_MS))]);
   }
 
-  function begin(seed) {
-    if (icons !== null) return opened(seed, 0, false);
+  function begin(...next) {
+    if (icons !== null) return opened(next, 0, false);
     const load = document.readyState === 'complete' ? Promise.resolve()
       : new Promise((go) => window.addEventListener('load', () => setTimeout(go)));
-    waited = load.then(loadIcons).then(() => opened(seed, 0, false))
+    waited = load.then(loadIcons).then(() => opened(next, 0, false))
       .then((reply) => (reply === 'wait' ? waited : reply));
     return 'wait';
   }

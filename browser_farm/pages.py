@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,29 +20,38 @@ TAMPERED = 2
 GONE = "gone"  # what a document without an open episode answers
 WAIT = "wait"  # the page is still loading: LATER has the answer
 LATER = "giirl.later()"
-SCRIPTS = ("keyboard", "gestures", "reading", "page")
+SCRIPTS = ("keyboard", "gestures", "reading", "elements", "page")
 
 
-@functools.cache
-def script() -> str:
-    """The source that Chrome runs in every document before the page's own scripts."""
-    here = Path(__file__)
-    parts = [here.with_name(f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS]
-    codes = json.dumps({**keys.NAMED, **keys.CODES})
-    return f"(() => {{\nconst KEY_CODES = {codes};\n" + "\n".join(parts) + "\n})();\n"
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """A way to look at pages: the module of page.js that reads them, and what makes its columns a Page."""
+
+    reader: str
+    decode: Callable[[list[Any]], Page]
+    emulation: tuple[tuple[str, dict[str, Any]], ...] = ()  # DevTools methods and parameters, called once in every tab
+
+    @functools.cached_property
+    def script(self) -> str:
+        """The source that Chrome runs in every document before the page's own scripts."""
+        here = Path(__file__)
+        parts = [here.with_name(f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS]
+        codes = json.dumps({**keys.NAMED, **keys.CODES})
+        parts.insert(-1, f"const view = {self.reader};")
+        return f"(() => {{\nconst KEY_CODES = {codes};\n" + "\n".join(parts) + "\n})();\n"
 
 
 def start_call(episode: EpisodeSpec) -> str:
-    return f"giirl.begin({episode.seed})"
+    return f"giirl.begin({episode.seed},{json.dumps(episode.mode)})"
 
 
 def step_call(command: Command, task: str) -> str:
     """Act, and go on in the same document when the episode that follows has the same task."""
     following = command.following
     stays = following is not None and following.task == task and not needs_fresh_document(task)
-    seed = following.seed if following is not None and stays else None
+    begins = [following.seed, following.mode] if following is not None and stays else None
     action = [int(command.verb), command.ref, command.text, *command.at, *command.by, command.to]
-    step = f"giirl.step({json.dumps(action)},{json.dumps(command.last)},{json.dumps(seed)})"
+    step = f"giirl.step({json.dumps(action)},{json.dumps(command.last)},{json.dumps(begins)})"
     return f"window.giirl&&giirl.isOpen()?{step}:'{GONE}'"
 
 
@@ -53,16 +63,18 @@ class Answer:
     done: bool
     page: Page | None
     goal: Goal | None
+    reason: str = ""  # for the reward, where the page gives one
 
 
-def decode(text: str) -> Answer:
+def decode(text: str, view: View) -> Answer:
     """The answer in `text`; ValueError when it is none."""
-    raw_reward, done, columns, utterance = json.loads(text)
+    raw_reward, done, columns, utterance, *reason = json.loads(text)
     return Answer(
         raw_reward=float(raw_reward),
         done=bool(done),
-        page=None if columns is None else decode_page(columns),
+        page=None if columns is None else view.decode(columns),
         goal=None if utterance is None else Goal(utterance),
+        reason=str(reason[0]) if reason else "",
     )
 
 
@@ -92,3 +104,6 @@ def _scattered(rows: list[int], values: list[str], count: int) -> tuple[str, ...
     for row, value in zip(rows, values, strict=True):
         column[row] = value
     return tuple(column)
+
+
+ROWS = View(reader="reading", decode=decode_page)

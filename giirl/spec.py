@@ -86,6 +86,7 @@ class EpisodeSpec:
 
     task: str
     seed: int
+    mode: str = "train"  # or "test": a few tasks keep some of their instructions for it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,6 +181,7 @@ class StepResult:
     done: bool  # the page ended the episode
     observation: Observation | None  # None only where no episode follows
     lost: str = ""  # why the episode broke off through no doing of the policy, "" if it did not
+    reason: str = ""  # for the reward, where the page gives one
 
 
 class Browser(Protocol):
