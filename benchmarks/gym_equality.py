@@ -20,6 +20,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import click
+import gymnasium
 import numpy as np
 from miniwob.environment import MiniWoBEnvironment
 from miniwob.fields import get_field_extractor
@@ -45,6 +47,14 @@ class Tally:
     restarted: int = 0  # a double click ended the episode, and the package's second click began another
     actions: Counter[str] = field(default_factory=Counter)
     differences: list[str] = field(default_factory=list)
+
+
+def registered() -> list[str]:
+    """The tasks that the package registers, without the flights."""
+    names = [
+        spec.removeprefix("miniwob/").removesuffix("-v1") for spec in gymnasium.registry if spec.startswith("miniwob/")
+    ]
+    return sorted(name for name in names if name in miniwob.tasks() and not name.startswith("flight"))
 
 
 class Reference:
@@ -133,7 +143,7 @@ def compare_task(
         one, _ = ours.reset(seed=seed, options=options)
         other, _ = theirs.reset(seed=seed, options=options)
         tally.episodes += 1
-        place, told, over = f"{task} seed {seed} reset", [], False
+        place, told, over = f"{task} seed {seed} reset", list[str](), False
         for step in range(steps + 1):
             found = [*told, *differences(one, other)]
             tally.observations += 1
@@ -167,7 +177,7 @@ def main() -> None:
     parser.add_argument("--hand", action="store_true", help="also what goes by coordinates and keys")
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
-    tasks = asked.task or [task for task in miniwob.tasks() if not task.startswith("flight.")]
+    tasks = asked.task or registered()
     reference = Reference()
     seeds = range(asked.first_seed, asked.first_seed + asked.episodes)
     results: dict[str, dict[str, Tally]] = {}
@@ -181,7 +191,7 @@ def main() -> None:
                     compare_task(task, reference, ours, tally, kinds=kinds, seeds=seeds, steps=asked.steps)
                 except Exception as error:  # noqa: BLE001 (whatever one task does, the others are compared)
                     tally.differences.append(f"{task}: {type(error).__name__}: {str(error).splitlines()[0]}")
-                print(task, name, tally.observations, len(tally.differences), *tally.differences[:2], flush=True)
+                click.echo(f"{task:30} {name:8} {tally.observations:4} {' '.join(tally.differences[:2]) or 'equal'}")
         finally:
             ours.close()
     reference.env.close()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from browser_farm.pages import View
-from giirl.spec import Page
+from giirl.spec import Observation, Page
 
 WINDOW = (780, 437)  # CSS px that a page of the miniwob package has in the Chrome it starts
 FLAGS = np.array([1, 2, 4, 8], dtype=np.int32)  # bits of elements.js: focused, tampered, targeted, leaf
@@ -55,6 +55,11 @@ def decode_elements(columns: list[Any]) -> Elements:
         background=tuple(colours[index] for index in table[:, 3].tolist()),
         foreground=tuple(colours[index] for index in table[:, 4].tolist()),
     )
+
+
+def elements_of(observation: Observation) -> Elements:
+    assert isinstance(observation.page, Elements), "the farm was opened with another view"
+    return observation.page
 
 
 @functools.lru_cache(maxsize=4096)

@@ -6,20 +6,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from browser_farm.elements import ELEMENTS, Elements
+from browser_farm.elements import ELEMENTS
 from browser_farm.farm import ChromeFarm
-from browser_farm.package import Fields, Observed, Package, Wanted, root_dom
-from giirl.spec import EpisodeSpec, Observation, StepResult
+from browser_farm.package import Fields, Observed, Package, Wanted
+from browser_farm.place import Conduct, Place, checked_render_mode
 
-SEEDS = 2**31  # pages that an environment draws from when it is not told which
-OPTIONS = ("data_mode", "record_screenshots")
-MODES = ("train", "test", "default")
+Told = tuple[Observed, float, bool, bool, dict[str, Any]]
 
 
 class MiniWoB(gymnasium.Env[Observed, Wanted]):
@@ -44,20 +43,17 @@ class MiniWoB(gymnasium.Env[Observed, Wanted]):
         reward_processor: Callable[[Mapping[str, Any]], float] | None = None,
         data_mode: str = "train",
         record_screenshots: bool = False,
+        root_dom: bool = True,  # False leaves the tree of DOMElement out of `info`, and saves its making
         call_timeout_s: float = 10.0,
     ) -> None:
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ValueError(f"the browser cannot render as {render_mode!r}, wanted 'human', 'rgb_array' or nothing")
+        self.render_mode = checked_render_mode(render_mode, self.metadata["render_modes"])
         self.package = Package.of(task, action_space_config, field_extractor, reward_processor)
         self.action_space_config = self.package.action_space_config
-        self.action_space = self.package.action_space
-        self.observation_space = self.package.observation_space
-        self.render_mode = render_mode
-        self.data_mode, self.record_screenshots = checked_mode(data_mode), record_screenshots
-        self._page: Elements | None = None
-        self._fields: Fields = ()
+        self.action_space, self.observation_space = self.package.action_space, self.package.observation_space
+        self._conduct = Conduct(data_mode=data_mode, record_screenshots=record_screenshots)
+        self._tree = root_dom
+        self._place = Place(self.package)
         self._ending: tuple[float, bool, bool, dict[str, Any]] | None = None
-        self._episode = EpisodeSpec(task=task, seed=0)
         self._farm = ChromeFarm(tabs=1, view=ELEMENTS, headless=render_mode != "human", call_timeout_s=call_timeout_s)
 
     def reset(
@@ -65,79 +61,47 @@ class MiniWoB(gymnasium.Env[Observed, Wanted]):
     ) -> tuple[Observed, dict[str, Any]]:
         """Open the page of this seed; `options` may set "data_mode" and "record_screenshots" from now on."""
         super().reset(seed=seed)
-        self._heed(options or {})
-        drawn = int(self.np_random.integers(SEEDS)) if seed is None else seed
-        self._episode = EpisodeSpec(task=self.package.task, seed=drawn, mode=self.data_mode)
+        self._conduct = self._conduct.heeding(options)
+        self._place.begin(self._farm.reset({0: self._place.draw(self.np_random, self._conduct, seed)})[0])
         self._ending = None
-        observation = self._farm.reset({0: self._episode})[0]
-        self._fields = self.package.fields(elements_of(observation))
-        return self._observe(observation), self._describe(
-            StepResult(raw_reward=0.0, done=False, observation=observation)
-        )
+        return self._observed(), self._place.info(tree=self._tree)
 
-    def step(self, action: Wanted | None) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Wanted | None) -> Told:
         """Act, once; None does nothing. A step after the end acts on nothing and tells of the end again."""
-        if self._page is None:
-            raise gymnasium.error.ResetNeeded("MiniWoB.step() was called before reset()")
         if self._ending is not None:
             reward, terminated, truncated, info = self._ending
-            return self.package.blank(), reward, terminated, truncated, dict(info)
-        command = self.package.command(action, self._page, self._fields)
-        result = self._farm.step({0: command})[0]
-        info = self._describe(result)
-        reward = float(self.package.reward_processor(info))
-        if result.done or result.lost:
-            self._ending = reward, result.done, bool(result.lost), info
-        observed = self.package.blank() if result.observation is None else self._observe(result.observation)
-        return observed, reward, result.done, bool(result.lost), info
+            return self._observed(), reward, terminated, truncated, dict(info)
+        if self._place.page is None:
+            raise gymnasium.error.ResetNeeded("MiniWoB.step() was called before reset()")
+        result = self._farm.step({0: self._place.command(action)})[0]
+        self._place.advance(result)
+        info = self._place.info(result, tree=self._tree)
+        reward, truncated = float(self.package.reward_processor(info)), bool(result.lost)
+        if result.done or truncated:
+            self._ending = reward, result.done, truncated, dict(info)
+        return self._observed(), reward, result.done, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """A screenshot of the task for "rgb_array"; otherwise nothing, a window shows itself."""
-        return self._screenshot() if self.render_mode == "rgb_array" else None
+        return self._picture() if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
         self._farm.close()
 
     def create_action(self, action_type: Any, **values: Any) -> dict[str, Any]:
-        """An action of this type (its name or index), the rest drawn at random unless given."""
+        """An action of this type (its name or its index), drawn at random but for the values given."""
         return self.package.create_action(self.action_space, action_type, values)
 
     def set_data_mode(self, mode: str) -> None:
         """From the next episode on."""
-        self.data_mode = checked_mode(mode)
+        self._conduct = replace(self._conduct, data_mode=mode)
 
     def set_record_screenshots(self, record_screenshots: bool) -> None:
-        self.record_screenshots = record_screenshots
+        self._conduct = replace(self._conduct, record_screenshots=record_screenshots)
 
-    def _heed(self, options: Mapping[str, Any]) -> None:
-        unknown = set(options) - set(OPTIONS)
-        if unknown:
-            raise ValueError(f"reset got option {min(unknown)!r}, wanted {' or '.join(OPTIONS)}")
-        self.set_data_mode(options.get("data_mode", self.data_mode))
-        self.set_record_screenshots(bool(options.get("record_screenshots", self.record_screenshots)))
+    def _observed(self) -> Observed:
+        wanted = self._conduct.record_screenshots and self._place.page is not None
+        return self._place.observed(self._picture() if wanted else None)
 
-    def _observe(self, observation: Observation) -> Observed:
-        self._page = elements_of(observation)
-        return self.package.observe(self._page, self._fields, self._screenshot() if self.record_screenshots else None)
-
-    def _describe(self, result: StepResult) -> dict[str, Any]:
-        info = {**self.package.ending(result), "seed": self._episode.seed}
-        if result.lost:
-            info["lost"] = result.lost
-        if result.observation is not None:
-            info["root_dom"] = root_dom(elements_of(result.observation))
-        return info
-
-    def _screenshot(self) -> NDArray[np.uint8]:
+    def _picture(self) -> NDArray[np.uint8]:
         return self._farm.screenshots([0], *self.package.size)[0]
-
-
-def elements_of(observation: Observation) -> Elements:
-    assert isinstance(observation.page, Elements), "the farm was opened with another view"
-    return observation.page
-
-
-def checked_mode(mode: str) -> str:
-    if mode not in MODES:
-        raise ValueError(f"data_mode is {mode!r}, wanted one of: {', '.join(MODES)}")
-    return mode

@@ -26,14 +26,15 @@ from miniwob.constants import (
     UTTERANCE_MAX_LENGTH,
 )
 from miniwob.dom import DOMElement
-from miniwob.fields import get_field_extractor
+from miniwob.fields import FIELD_EXTRACTORS
 from miniwob.observation import create_empty_observation, get_observation_space
 from miniwob.reward import get_original_reward
 from numpy.typing import NDArray
 
 from browser_farm.elements import Elements, rgba
+from browser_farm.miniwob import page_url
 from giirl import keys
-from giirl.spec import Command, StepResult, Verb
+from giirl.spec import Command, Verb
 
 Fields = Sequence[tuple[str, str]]
 Observed = dict[str, Any]  # "utterance", "fields", "dom_elements", "screenshot"
@@ -82,10 +83,11 @@ class Package:
         config = action_space_config
         if isinstance(config, str):
             config = ActionSpaceConfig.get_preset(config)
+        page_url(task)  # a task that does not exist is an error before any browser starts
         made = cls(
             task=task,
             action_space_config=config,
-            field_extractor=field_extractor or get_field_extractor(task),
+            field_extractor=field_extractor or FIELD_EXTRACTORS.get(task, _nothing),
             reward_processor=reward_processor or get_original_reward,
         )
         config.screen_width, config.screen_height = made.size
@@ -168,14 +170,11 @@ class Package:
         observed: Observed = create_empty_observation(*self.size)
         return observed
 
-    def ending(self, result: StepResult) -> dict[str, Any]:
-        """What the package tells of an episode beside the observation. Time takes no part in our rewards."""
-        return {
-            "done": result.done,
-            "env_reward": result.raw_reward,
-            "raw_reward": result.raw_reward,
-            "reason": result.reason or None,
-        }
+
+def _nothing(utterance: str) -> Fields:
+    """The fields of a task for which the package has no pattern."""
+    del utterance
+    return []
 
 
 def _pointed(kind: ActionTypes, at: tuple[float, float], amount: int) -> Command:
