@@ -80,5 +80,6 @@ ELEMENTS = View(
             "Emulation.setDeviceMetricsOverride",
             {"width": WINDOW[0], "height": WINDOW[1], "deviceScaleFactor": 1, "mobile": False},
         ),
+        ("Emulation.setFocusEmulationEnabled", {"enabled": True}),  # the looks of what has the focus
     ),
 )

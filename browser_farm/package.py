@@ -227,6 +227,11 @@ def serialized(page: Elements) -> list[dict[str, Any]]:
     ]
 
 
+def _readable(colour: str) -> str | None:
+    """A colour that DOMElement can read; it breaks on others."""
+    return colour if colour.startswith("rgb") else None
+
+
 def root_dom(page: Elements) -> Any:
     """The page as a tree of the package's DOMElement."""
     nodes: list[dict[str, Any]] = []
@@ -242,8 +247,8 @@ def root_dom(page: Elements) -> Any:
             "value": page.held[row],
             "id": page.id[row],
             "classes": page.classes[row],
-            "bgColor": page.background[row] or None,
-            "fgColor": page.foreground[row] or None,
+            "bgColor": _readable(page.background[row]),
+            "fgColor": _readable(page.foreground[row]),
             "focused": bool(page.flags[row, 0]),
             "tampered": bool(page.flags[row, 1]),
             "children": [],
