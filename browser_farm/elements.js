@@ -1,5 +1,5 @@
 // The page as the miniwob package sees it: the page's own account of its DOM, laid out as columns. Joined in front of
-// page.js, which reads through it where a farm was opened with that view.
+// frame.js, which reads through it where a farm was opened with that view.
 const elements = (() => {
   'use strict';
 
@@ -29,14 +29,17 @@ const elements = (() => {
       if (!lines) for (const child of node.children) row(child, here);
     }
 
-    const root = core.getDOMInfo();
+    const root = site().getDOMInfo();
     if (root) row(root, -1);
     return [said(), tag, text, value, id, classes, numbers, boxes, [...colours.keys()]];
   }
 
+  // The flight tasks show a site in a frame, with an account of its own.
+  const site = () => window.$miniwob || core;
+
   // A page says its instruction as a string, or as an object that brings the fields along.
   function said() {
-    const words = core.getUtterance();
+    const words = (window.core || window.parent.core).getUtterance();
     return typeof words === 'object' && words !== null ? [words.utterance, Object.entries(words.fields)] : [words, null];
   }
 
@@ -48,7 +51,5 @@ const elements = (() => {
     WOB_EPISODE_ID += 1;
   }
 
-  const scope = () => (core.flightChildWindow ? core.flightChildWindow().$miniwob : core);
-
-  return { walk, forget, nodeOf: (ref) => (ref === 0 ? null : scope().previousDOMInfo[ref]) };
+  return { walk, forget, nodeOf: (ref) => (ref === 0 ? null : site().previousDOMInfo[ref]) };
 })();

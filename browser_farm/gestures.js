@@ -78,7 +78,7 @@ const gestures = (() => {
 
   function doubleClick(target, x, y) {
     click(target, x, y);
-    if (WOB_DONE_GLOBAL || !target.isConnected) return;
+    if (window.top.WOB_DONE_GLOBAL || !target.isConnected) return;
     press(target, x, y, 2);
     release(target, x, y, 2);
     mouse(target, 'dblclick', x, y, 0, true, 2);
@@ -202,12 +202,17 @@ const gestures = (() => {
       const { x, y } = middle(element, { x: 0, y: 0 });
       click(element, x, y);
     }
-    if (!WOB_DONE_GLOBAL) keyboard.type(element, text, clear);
+    if (!window.top.WOB_DONE_GLOBAL) keyboard.type(element, text, clear);
   }
 
+  // The mouse leaves the page, and with it all that it held and hovered over.
   function forget() {
+    if (held) release(document.body, 0, 0);
+    if (hovered && hovered.isConnected) {
+      mouse(hovered, 'mouseout', 0, 0, 0);
+      for (let node = hovered; node; node = node.parentElement) mouse(node, 'mouseleave', 0, 0, 0, false);
+    }
     hovered = null;
-    held = null;
     getSelection().removeAllRanges();
   }
 

@@ -20,12 +20,12 @@ TAMPERED = 2
 GONE = "gone"  # what a document without an open episode answers
 WAIT = "wait"  # the page is still loading: LATER has the answer
 LATER = "giirl.later()"
-SCRIPTS = ("keyboard", "gestures", "reading", "elements", "page")
+SCRIPTS = ("clock", "focus", "keyboard", "gestures", "reading", "elements", "frame", "page")
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """A way to look at pages: the module of page.js that reads them, and what makes its columns a Page."""
+    """A way to look at pages: the script that reads them, and what makes its columns a Page."""
 
     reader: str
     decode: Callable[[list[Any]], Page]
@@ -37,8 +37,12 @@ class View:
         here = Path(__file__)
         parts = [here.with_name(f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS]
         codes = json.dumps({**keys.NAMED, **keys.CODES})
-        parts.insert(-1, f"const view = {self.reader};")
-        return f"(() => {{\nconst KEY_CODES = {codes};\n" + "\n".join(parts) + "\n})();\n"
+        parts.insert(SCRIPTS.index("frame"), f"const view = {self.reader};")
+        return (
+            f"(() => {{\nif ('giirlFrame' in window) return;\nconst KEY_CODES = {codes};\n"
+            + "\n".join(parts)
+            + "\n})();\n"
+        )
 
 
 def start_call(episode: EpisodeSpec) -> str:
