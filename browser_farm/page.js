@@ -5,6 +5,7 @@
 
   const FOREVER_MS = 2147483647;  // the longest a timer may wait; the step limit is the farm's
   const IMAGES_MS = 2000;
+  const OPENING_MS = 100;  // of the page's time before it is first seen: what it draws, it draws with the next frame
 
   let open = false;            // an episode was started in this document
 
@@ -48,7 +49,7 @@
     Math.seedrandom(seed);
     const mark = clock.mark();
     core.startEpisodeReal();
-    clock.pass(0, mark);
+    clock.pass(OPENING_MS, mark);
     open = true;
     const waiting = [...document.images].filter((image) => !image.complete);
     if (waiting.length === 0 && WOB_TASK_READY) return null;
