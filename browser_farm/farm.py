@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
 
 from browser_farm import pages
 from browser_farm.devtools import BrowserGone
@@ -48,6 +53,7 @@ class ChromeFarm:
         launch_timeout_s: float = 60.0,
         headless: bool = True,
         no_sandbox: bool | None = None,  # None: only as root, where Chrome refuses to run otherwise
+        view: pages.View = pages.ROWS,
         on_restart: Callable[[str], None] = _tell_nobody,
     ) -> None:
         if tabs < 1:
@@ -56,12 +62,14 @@ class ChromeFarm:
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"ChromeFarm.{name} is {value}: wanted a number of seconds above 0")
         self.tabs = tabs
+        self._view = view
         self._on_restart = on_restart
         self._shown = [Shown() for _ in range(tabs)]
         self._closed = False
         self._tabs = Tabs(
             tabs,
-            script=pages.script(),
+            script=pages.script(reader=view.reader),
+            emulation=view.emulation,
             call_timeout_s=call_timeout_s,
             launch_timeout_s=launch_timeout_s,
             headless=headless,
@@ -112,10 +120,28 @@ class ChromeFarm:
                 opening[tab] = command.following
         for tab, observation in self._open(opening).items():
             result = results[tab]
-            results[tab] = StepResult(
-                raw_reward=result.raw_reward, done=result.done, observation=observation, lost=result.lost
-            )
+            results[tab] = replace(result, observation=observation)
         return results
+
+    def screenshots(self, tabs: Iterable[int], width: int, height: int) -> dict[int, NDArray[np.uint8]]:
+        """[height, width, 3] RGB of each tab's upper left corner, one after the other: only a shown tab is drawn.
+
+        A tab that does not answer is black here and lost at its next step.
+        """
+        wanted = list(tabs)
+        self._check(dict.fromkeys(wanted))
+        pictures = {tab: np.zeros((height, width, 3), dtype=np.uint8) for tab in wanted}
+        try:
+            for tab in wanted:
+                png = b"" if self._shown[tab].lost else self._tabs.screenshot(tab, width, height)
+                if isinstance(png, Failure):
+                    self._shown[tab].lost = png.cause
+                    self._mend(tab, png, attempt=0)
+                elif png:
+                    pictures[tab][:] = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
+        except BrowserGone:
+            self._relaunch()
+        return pictures
 
     def close(self) -> None:
         self._closed = True
@@ -133,7 +159,7 @@ class ChromeFarm:
         answers: dict[int, pages.Answer] = {}
         try:
             for tab, outcome in self._tabs.ask(calls).items():
-                answer = _read(outcome)
+                answer = self._read(outcome)
                 if isinstance(answer, Failure):
                     self._shown[tab].lost = answer.cause
                     self._mend(tab, answer, attempt=0)
@@ -156,7 +182,7 @@ class ChromeFarm:
         observation = None
         if answer.page is not None and shown.episode is not None and shown.goal is not None:
             observation = Observation(episode=shown.episode, page=answer.page, goal=shown.goal)
-        return StepResult(raw_reward=answer.raw_reward, done=answer.done, observation=observation)
+        return StepResult(raw_reward=answer.raw_reward, done=answer.done, observation=observation, reason=answer.reason)
 
     def _open(self, wanted: dict[int, EpisodeSpec]) -> dict[int, Observation]:
         """Open an episode in each tab, mending what breaks on the way."""
@@ -195,7 +221,7 @@ class ChromeFarm:
         failures = self._tabs.navigate(urls) if urls else {}
         calls = {tab: pages.start_call(episode) for tab, episode in missing.items() if tab not in failures}
         for tab, outcome in self._tabs.ask(calls).items():
-            answer = _read(outcome)
+            answer = self._read(outcome)
             if isinstance(answer, Failure):
                 failures[tab] = answer
             elif answer.page is None or answer.goal is None:
@@ -227,13 +253,12 @@ class ChromeFarm:
                 shown.lost = "browser_died"
         self._tabs.launch()
 
-
-def _read(outcome: Any | Failure) -> pages.Answer | Failure:
-    if isinstance(outcome, Failure):
-        return outcome
-    if outcome == pages.GONE:
-        return Failure(cause="navigated")
-    try:
-        return pages.decode(outcome)
-    except (ValueError, TypeError, OverflowError) as error:
-        return Failure(cause="page_error", words=str(error))
+    def _read(self, outcome: Any | Failure) -> pages.Answer | Failure:
+        if isinstance(outcome, Failure):
+            return outcome
+        if outcome == pages.GONE:
+            return Failure(cause="navigated")
+        try:
+            return pages.decode(outcome, self._view)
+        except (ValueError, TypeError, OverflowError) as error:
+            return Failure(cause="page_error", words=str(error))

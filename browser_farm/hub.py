@@ -29,8 +29,18 @@ class Hub:
     A crash takes all of them; a page that does not come back holds up the others until it is interrupted.
     """
 
-    def __init__(self, tools: DevTools, url: str, numbers: Sequence[int], *, script: str, timeout_s: float) -> None:
+    def __init__(
+        self,
+        tools: DevTools,
+        url: str,
+        numbers: Sequence[int],
+        *,
+        script: str,
+        emulation: tuple[tuple[str, Json], ...],
+        timeout_s: float,
+    ) -> None:
         self._script = script
+        self._emulation = emulation
         self._tools = tools
         self._timeout_s = timeout_s
         blank = {"url": "about:blank", "background": True}
@@ -83,6 +93,8 @@ class Hub:
         for info in self._call(BROWSER, "Target.getTargets")["targetInfos"]:
             if info.get("openerId") == self.page.target and info["targetId"] not in known:
                 tab = self._attach(info["targetId"])
+                for method, params in self._emulation:
+                    self._call(tab.session, method, params)
                 source = {"source": self._script}
                 self._call(tab.session, "Page.addScriptToEvaluateOnNewDocument", source)
                 return tab

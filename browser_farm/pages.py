@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ GONE = "gone"  # what a document without an open episode answers
 WAIT = "wait"  # the page is still loading: LATER has the answer
 LATER = "giirl.later()"
 Json = list[Any]
-SCRIPTS = ("clock", "focus", "keyboard", "gestures", "reading", "frame", "page")
+SCRIPTS = ("clock", "focus", "keyboard", "gestures", "reading", "elements", "frame", "page")
 
 
 def source(name: str) -> str:
@@ -29,26 +30,36 @@ def source(name: str) -> str:
 
 
 @functools.cache
-def script(*first: str) -> str:
+def script(*first: str, reader: str = "reading") -> str:
     """The source that Chrome runs in every document before the page's own scripts; `first` goes before all others."""
     parts = [source(name) for name in (*first, *SCRIPTS)]
+    parts.insert(parts.index(source("frame")), f"const view = {reader};")
     codes = json.dumps({**keys.NAMED, **keys.CODES})
     return (
         f"(() => {{\nif ('giirlFrame' in window) return;\nconst KEY_CODES = {codes};\n" + "\n".join(parts) + "\n})();\n"
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """A way to look at pages: the script that reads them, and what makes its columns a Page."""
+
+    reader: str
+    decode: Callable[[list[Any]], Page]
+    emulation: tuple[tuple[str, dict[str, Any]], ...] = ()  # DevTools methods and parameters, called once in every tab
+
+
 def start_call(episode: EpisodeSpec) -> Json:
-    return [episode.seed]
+    return [episode.seed, episode.mode]
 
 
 def step_call(command: Command, task: str) -> Json:
     """Act, and go on in the same document when the episode that follows has the same task."""
     following = command.following
     stays = following is not None and following.task == task and not needs_fresh_document(task)
-    seed = following.seed if following is not None and stays else None
+    begins = [following.seed, following.mode] if following is not None and stays else None
     action = [int(command.verb), command.ref, command.text, *command.at, *command.by, command.to]
-    return [action, command.last, seed]
+    return [action, command.last, begins]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,16 +70,18 @@ class Answer:
     done: bool
     page: Page | None
     goal: Goal | None
+    reason: str = ""  # for the reward, where the page gives one
 
 
-def decode(words: Json) -> Answer:
+def decode(words: Json, view: View) -> Answer:
     """The answer in what a page said; ValueError or TypeError when it is none."""
-    raw_reward, done, columns, utterance = words
+    raw_reward, done, columns, utterance, *reason = words
     return Answer(
         raw_reward=float(raw_reward),
         done=bool(done),
-        page=None if columns is None else decode_page(columns),
+        page=None if columns is None else view.decode(columns),
         goal=None if utterance is None else Goal(utterance),
+        reason=str(reason[0]) if reason else "",
     )
 
 
@@ -98,3 +111,6 @@ def _scattered(rows: list[int], values: list[str], count: int) -> tuple[str, ...
     for row, value in zip(rows, values, strict=True):
         column[row] = value
     return tuple(column)
+
+
+ROWS = View(reader="reading", decode=decode_page)
