@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+import json
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,8 +69,7 @@ class ChromeFarm:
         self._closed = False
         self._tabs = Tabs(
             tabs,
-            script=view.script,
-            emulation=view.emulation,
+            view=view,
             call_timeout_s=call_timeout_s,
             launch_timeout_s=launch_timeout_s,
             headless=headless,
@@ -101,7 +102,7 @@ class ChromeFarm:
 
     def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]:
         self._check(commands)
-        calls: dict[int, str] = {}
+        calls: dict[int, pages.Json] = {}
         for tab, command in commands.items():
             shown = self._shown[tab]
             if shown.episode is None:
@@ -118,8 +119,7 @@ class ChromeFarm:
             if results[tab].observation is None and command.following is not None:
                 opening[tab] = command.following
         for tab, observation in self._open(opening).items():
-            result = results[tab]
-            results[tab] = replace(result, observation=observation)
+            results[tab] = replace(results[tab], observation=observation)
         return results
 
     def screenshots(self, tabs: Iterable[int], width: int, height: int) -> dict[int, NDArray[np.uint8]]:
@@ -153,12 +153,12 @@ class ChromeFarm:
             if not 0 <= tab < self.tabs:
                 raise ValueError(f"there is no tab {tab}: wanted 0 to {self.tabs - 1}")
 
-    def _ask(self, calls: Mapping[int, str]) -> dict[int, pages.Answer]:
+    def _ask(self, calls: Mapping[int, pages.Json]) -> dict[int, pages.Answer]:
         """Answers of the pages; a tab without one has been marked lost and mended."""
         answers: dict[int, pages.Answer] = {}
         try:
             for tab, outcome in self._evaluate(calls).items():
-                answer = self._read(outcome)
+                answer = _read(outcome, self._view)
                 if isinstance(answer, Failure):
                     self._shown[tab].lost = answer.cause
                     self._mend(tab, answer, attempt=0)
@@ -169,10 +169,12 @@ class ChromeFarm:
             return {}
         return answers
 
-    def _evaluate(self, calls: Mapping[int, str]) -> dict[int, str | Failure]:
-        outcomes = self._tabs.evaluate(calls) if calls else {}
+    def _evaluate(self, calls: Mapping[int, pages.Json]) -> dict[int, Any | Failure]:
+        outcomes = self._tabs.ask(calls) if calls else {}
         later = {tab: pages.LATER for tab, outcome in outcomes.items() if outcome == pages.WAIT}
-        return {**outcomes, **self._tabs.evaluate(later, promised=True)} if later else outcomes
+        for tab, outcome in (self._tabs.evaluate(later, promised=True) if later else {}).items():
+            outcomes[tab] = json.loads(outcome) if isinstance(outcome, str) else outcome
+        return outcomes
 
     def _advance(self, tab: int, command: Command, answer: pages.Answer | None) -> StepResult:
         """Note what the tab shows now; the result lacks an observation where the farm has to open one."""
@@ -214,7 +216,7 @@ class ChromeFarm:
                     f"task {episode.task} with seed {episode.seed} does not open in tab {tab} "
                     f"after {OPEN_ATTEMPTS} attempts: {last.cause} {last.words}".rstrip()
                 )
-        return opened
+        return {tab: opened[tab] for tab in wanted}
 
     def _try_open(self, missing: Mapping[int, EpisodeSpec], opened: dict[int, Observation]) -> dict[int, Failure]:
         urls = {
@@ -225,7 +227,7 @@ class ChromeFarm:
         failures = self._tabs.navigate(urls) if urls else {}
         calls = {tab: pages.start_call(episode) for tab, episode in missing.items() if tab not in failures}
         for tab, outcome in self._evaluate(calls).items():
-            answer = self._read(outcome)
+            answer = _read(outcome, self._view)
             if isinstance(answer, Failure):
                 failures[tab] = answer
             elif answer.page is None or answer.goal is None:
@@ -240,10 +242,12 @@ class ChromeFarm:
         """Leave the tab so that loading a document in it can succeed; each attempt reaches for more."""
         self._on_restart(failure.cause)
         self._shown[tab].task = None
-        if failure.cause == "page_hung":
-            self._tabs.interrupt(tab)
-        if attempt == 1:
-            self._tabs.replace(tab)
+        if self._tabs.has_crashed(tab) or attempt == 1:
+            for other in self._tabs.rebuild(tab):
+                self._shown[other].task = None
+                if other != tab and self._shown[other].episode is not None and not self._shown[other].lost:
+                    self._on_restart("tab_crashed")
+                    self._shown[other].lost = "tab_crashed"
         elif attempt == 2 and failure.cause != "page_error":  # a new Chrome does not mend a page's own mistake
             raise BrowserGone(f"tab {tab} does not come back: {failure.cause} {failure.words}".rstrip())
 
@@ -255,12 +259,13 @@ class ChromeFarm:
                 shown.lost = "browser_died"
         self._tabs.launch()
 
-    def _read(self, outcome: str | Failure) -> pages.Answer | Failure:
-        if isinstance(outcome, Failure):
-            return outcome
-        if outcome == pages.GONE:
-            return Failure(cause="navigated")
-        try:
-            return pages.decode(outcome, self._view)
-        except (ValueError, TypeError, OverflowError) as error:
-            return Failure(cause="page_error", words=str(error))
+
+def _read(outcome: Any | Failure, view: pages.View) -> pages.Answer | Failure:
+    if isinstance(outcome, Failure):
+        return outcome
+    if outcome == pages.GONE:
+        return Failure(cause="navigated")
+    try:
+        return pages.decode(outcome, view)
+    except (ValueError, TypeError, OverflowError) as error:
+        return Failure(cause="page_error", words=str(error))

@@ -6,6 +6,7 @@
   const FOREVER_MS = 2147483647;  // the longest a timer may wait; the step limit is the farm's
   const IMAGES_MS = 2000;
   const OPENING_MS = 100;  // of the page's time before it is first seen: what it draws, it draws with the next frame
+  const WAIT = '"wait"', GONE = '"gone"';
 
   let open = false;            // an episode was started in this document
 
@@ -29,6 +30,9 @@
     if (quiet) return;
     quiet = true;
     const nothing = () => {};
+    document.body.removeEventListener('click', core.canvasDrawClick);
+    if (core.cover_div) core.cover_div.remove();
+    core.cover_div = { style: {} };
     for (const name of ['canvasDrawClick', 'canvasDrawElementClick', 'canvasClear', 'updateDisplay',
       'reloadDisplay', 'countdownTimer', 'clearTimer', 'startEpisode']) core[name] = nothing;
     Object.defineProperty(core, 'EPISODE_MAX_TIME', { get: () => FOREVER_MS, set: nothing });
@@ -42,7 +46,7 @@
     return reading.flat(String(typeof said === 'object' && said !== null ? said.utterance : said));
   }
 
-  function start(seed, mode) {
+  function start([seed, mode]) {
     hush();
     frame.forget();
     core.setDataMode(mode);
@@ -73,16 +77,17 @@
 
   let waited = null;  // the answer that step() could not give at once
 
-  function opened([seed, mode], reward, done, ...reason) {
+  function opened(next, reward, done, ...reason) {
     const reply = () => JSON.stringify([reward, done, (shown() || frame).walk(), utterance(), ...reason]);
-    const wait = start(seed, mode);
+    const wait = start(next);
     if (wait === null) return reply();
     waited = wait.then(reply);
-    return 'wait';  // asking Chrome to wait for every answer would cost each step a third more
+    return WAIT;  // asking Chrome to wait for every answer would cost each step a third more
   }
 
   // next is null when no episode of this task follows.
   function step(action, last, next) {
+    if (!open) return GONE;
     const site = shown();
     if (site) site.act(action);
     else core.endEpisode(-1, false, 'navigated away');  // what the page itself says of it, where it can
@@ -110,14 +115,17 @@
     return Promise.race([settled(icons), new Promise((go) => setTimeout(go, IMAGES_MS))]);
   }
 
-  function begin(...next) {
+  function begin(next) {
     if (icons !== null) return opened(next, 0, false);
     const load = document.readyState === 'complete' ? Promise.resolve()
       : new Promise((go) => window.addEventListener('load', () => setTimeout(go)));
     waited = load.then(loadIcons).then(() => opened(next, 0, false))
-      .then((reply) => (reply === 'wait' ? waited : reply));
-    return 'wait';
+      .then((reply) => (reply === WAIT ? waited : reply));
+    return WAIT;
   }
 
-  Object.defineProperty(window, 'giirl', { value: { step, begin, isOpen: () => open, later: () => waited } });
+  // All answers are JSON.
+  const answer = (words) => (words.length === 1 ? begin(...words) : step(...words));
+
+  Object.defineProperty(window, 'giirl', { value: { answer, later: () => waited } });
 })();

@@ -20,66 +20,26 @@ TAMPERED = 2
 GONE = "gone"  # what a document without an open episode answers
 WAIT = "wait"  # the page is still loading: LATER has the answer
 LATER = "giirl.later()"
+Json = list[Any]
 SCRIPTS = ("clock", "focus", "keyboard", "gestures", "reading", "elements", "frame", "page")
 
 
-@dataclass(frozen=True, kw_only=True)
-class View:
-    """A way to look at pages: the script that reads them, and what makes its columns a Page."""
-
-    reader: str
-    decode: Callable[[list[Any]], Page]
-    emulation: tuple[tuple[str, dict[str, Any]], ...] = ()  # DevTools methods and parameters, called once in every tab
-
-    @functools.cached_property
-    def script(self) -> str:
-        """The source that Chrome runs in every document before the page's own scripts."""
-        here = Path(__file__)
-        parts = [here.with_name(f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS]
-        codes = json.dumps({**keys.NAMED, **keys.CODES})
-        parts.insert(SCRIPTS.index("frame"), f"const view = {self.reader};")
-        return (
-            f"(() => {{\nif ('giirlFrame' in window) return;\nconst KEY_CODES = {codes};\n"
-            + "\n".join(parts)
-            + "\n})();\n"
-        )
+def source(name: str) -> str:
+    """One of the scripts of this package."""
+    return Path(__file__).with_name(f"{name}.js").read_text(encoding="utf-8")
 
 
-def start_call(episode: EpisodeSpec) -> str:
-    return f"giirl.begin({episode.seed},{json.dumps(episode.mode)})"
+def start_call(episode: EpisodeSpec) -> Json:
+    return [[episode.seed, episode.mode]]
 
 
-def step_call(command: Command, task: str) -> str:
+def step_call(command: Command, task: str) -> Json:
     """Act, and go on in the same document when the episode that follows has the same task."""
     following = command.following
     stays = following is not None and following.task == task and not needs_fresh_document(task)
     begins = [following.seed, following.mode] if following is not None and stays else None
     action = [int(command.verb), command.ref, command.text, *command.at, *command.by, command.to]
-    step = f"giirl.step({json.dumps(action)},{json.dumps(command.last)},{json.dumps(begins)})"
-    return f"window.giirl&&giirl.isOpen()?{step}:'{GONE}'"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Answer:
-    """What page.js says; `page` is missing where no episode goes on, `goal` where none begins."""
-
-    raw_reward: float
-    done: bool
-    page: Page | None
-    goal: Goal | None
-    reason: str = ""  # for the reward, where the page gives one
-
-
-def decode(text: str, view: View) -> Answer:
-    """The answer in `text`; ValueError when it is none."""
-    raw_reward, done, columns, utterance, *reason = json.loads(text)
-    return Answer(
-        raw_reward=float(raw_reward),
-        done=bool(done),
-        page=None if columns is None else view.decode(columns),
-        goal=None if utterance is None else Goal(utterance),
-        reason=str(reason[0]) if reason else "",
-    )
+    return [action, command.last, begins]
 
 
 def decode_page(columns: list[Any]) -> Page:
@@ -110,4 +70,45 @@ def _scattered(rows: list[int], values: list[str], count: int) -> tuple[str, ...
     return tuple(column)
 
 
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """A way to look at pages: the script that reads them, and what makes its columns a Page."""
+
+    reader: str
+    decode: Callable[[Json], Page]
+    emulation: tuple[tuple[str, dict[str, Any]], ...] = ()  # DevTools methods and parameters, called once in every tab
+
+    @functools.cached_property
+    def script(self) -> str:
+        """The source that Chrome runs in every document before the page's own scripts."""
+        parts = [source(name) for name in SCRIPTS]
+        parts.insert(SCRIPTS.index("frame"), f"const view = {self.reader};")
+        codes = json.dumps({**keys.NAMED, **keys.CODES})
+        head = f"(() => {{\nif ('giirlFrame' in window) return;\nconst KEY_CODES = {codes};\n"
+        return head + "\n".join(parts) + "\n})();\n"
+
+
 ROWS = View(reader="reading", decode=decode_page)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """What page.js says; `page` is missing where no episode goes on, `goal` where none begins."""
+
+    raw_reward: float
+    done: bool
+    page: Page | None
+    goal: Goal | None
+    reason: str  # for the reward, where the page gives one
+
+
+def decode(words: Json, view: View = ROWS) -> Answer:
+    """The answer in what a page said; ValueError or TypeError when it is none."""
+    raw_reward, done, columns, utterance, *reason = words
+    return Answer(
+        raw_reward=float(raw_reward),
+        done=bool(done),
+        page=None if columns is None else view.decode(columns),
+        goal=None if utterance is None else Goal(utterance),
+        reason=str(reason[0]) if reason else "",
+    )

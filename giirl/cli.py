@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from pathlib import Path
@@ -13,7 +14,8 @@ from rich.table import Column, Table
 
 from giirl.cli_demos import demos, writable
 from giirl.cli_reproduce import reproduce
-from giirl.config import Config, changed, dump_config, load_config
+from giirl.config import Config
+from giirl.config_file import changed, dump_config, load_config
 from giirl.doctor import checks
 from giirl.progress import Display
 from giirl.run_folder import RunFolder
@@ -203,6 +205,7 @@ def _some(path: Path | None) -> list[Path]:
 
 def main() -> Never:
     """Run the command; whatever a person can mend is one line and a status that is not 0."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # the nets are small: more threads only wait for each other
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt

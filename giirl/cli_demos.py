@@ -10,7 +10,8 @@ import click
 import numpy as np
 from rich.table import Table
 
-from giirl.config import DEFAULT_TASKS, load_config
+from giirl.config import DEFAULT_TASKS
+from giirl.config_file import load_config
 from giirl.progress import Display
 from giirl.spec import Episode
 from giirl.wire import read_episodes, write_episodes

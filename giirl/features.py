@@ -20,6 +20,7 @@ CLASSES = 64  # hash buckets of class names
 CLASS_SLOTS = 3
 TOKEN_FLAGS = 6
 ELEMENT_FLAGS = 16
+ELEMENT_OVERLAP, TOKEN_OVERLAP = slice(10, 16), slice(3, 5)  # the columns that say where goal and page agree
 POSITION = slice(0, 4)  # the columns of Features.element_flags that hold left, top, width, height
 WIDTH_PX, HEIGHT_PX = 160.0, 210.0
 
@@ -237,6 +238,14 @@ def rename(batch: Batch, actions: ActionBatch, chance: float, jitter: float, noi
         ),
         element_flags=flags,
     )
+
+
+def without_overlap(batch: Batch) -> Batch:
+    """The same pages, with nothing that says where goal and page agree: a study's question, what words alone do."""
+    tokens, elements = batch.token_flags.clone(), batch.element_flags.clone()
+    tokens[:, :, TOKEN_OVERLAP] = 0.0
+    elements[:, :, ELEMENT_OVERLAP] = 0.0
+    return replace(batch, token_flags=tokens, element_flags=elements, matches=torch.zeros_like(batch.matches))
 
 
 COMMON_WORDS = 4000  # renamed words come from this many of the commonest, whatever the table

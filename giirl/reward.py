@@ -85,7 +85,7 @@ class RewardModel:
 def build_reward(config: Config, weights: Weights | None = None) -> RewardModel:
     """The reward of a run's config, with its weights when there are any."""
     vectors = load_vectors(config.net.vectors)
-    net = RewardNet(vectors, config.net.width, config.discriminator.dropout)
+    net = RewardNet(vectors, config.net, config.discriminator.dropout)
     if weights is not None:
         load_net(net, weights)
     return RewardModel(net, vectors, config.discriminator.reward, config.discriminator.clip)
@@ -93,4 +93,4 @@ def build_reward(config: Config, weights: Weights | None = None) -> RewardModel:
 
 def build_policy(config: Config) -> Policy:
     """An untrained policy of a run's config."""
-    return Policy(load_vectors(config.net.vectors), config.net.width)
+    return Policy(load_vectors(config.net.vectors), config.net)

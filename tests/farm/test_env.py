@@ -177,13 +177,13 @@ def test_a_step_is_one_call_to_each_tab_and_restarting_costs_none(
 ) -> None:
     observed, _ = envs.reset(seed=20)
     calls: list[int] = []
-    evaluate = envs._farm._tabs.evaluate
+    evaluate = envs._farm._tabs.ask
 
     def counting(asked: dict[int, str], **how: Any) -> Any:
         calls.append(len(asked))
         return evaluate(asked, **how)
 
-    monkeypatch.setattr(envs._farm._tabs, "evaluate", counting)
+    monkeypatch.setattr(envs._farm._tabs, "ask", counting)
     submit = [next((e["ref"] for e in page if e["tag"] == "button"), 0) for page in observed["dom_elements"]]
     _, _, terminated, _, _ = envs.step([{"action_type": 8, "ref": ref} for ref in submit])
     assert terminated.all()
