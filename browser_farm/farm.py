@@ -68,8 +68,7 @@ class ChromeFarm:
         self._closed = False
         self._tabs = Tabs(
             tabs,
-            script=pages.script(reader=view.reader),
-            emulation=view.emulation,
+            view=view,
             call_timeout_s=call_timeout_s,
             launch_timeout_s=launch_timeout_s,
             headless=headless,
@@ -119,8 +118,7 @@ class ChromeFarm:
             if results[tab].observation is None and command.following is not None:
                 opening[tab] = command.following
         for tab, observation in self._open(opening).items():
-            result = results[tab]
-            results[tab] = replace(result, observation=observation)
+            results[tab] = replace(results[tab], observation=observation)
         return results
 
     def screenshots(self, tabs: Iterable[int], width: int, height: int) -> dict[int, NDArray[np.uint8]]:
@@ -159,7 +157,7 @@ class ChromeFarm:
         answers: dict[int, pages.Answer] = {}
         try:
             for tab, outcome in self._tabs.ask(calls).items():
-                answer = self._read(outcome)
+                answer = _read(outcome, self._view)
                 if isinstance(answer, Failure):
                     self._shown[tab].lost = answer.cause
                     self._mend(tab, answer, attempt=0)
@@ -221,7 +219,7 @@ class ChromeFarm:
         failures = self._tabs.navigate(urls) if urls else {}
         calls = {tab: pages.start_call(episode) for tab, episode in missing.items() if tab not in failures}
         for tab, outcome in self._tabs.ask(calls).items():
-            answer = self._read(outcome)
+            answer = _read(outcome, self._view)
             if isinstance(answer, Failure):
                 failures[tab] = answer
             elif answer.page is None or answer.goal is None:
@@ -253,12 +251,13 @@ class ChromeFarm:
                 shown.lost = "browser_died"
         self._tabs.launch()
 
-    def _read(self, outcome: Any | Failure) -> pages.Answer | Failure:
-        if isinstance(outcome, Failure):
-            return outcome
-        if outcome == pages.GONE:
-            return Failure(cause="navigated")
-        try:
-            return pages.decode(outcome, self._view)
-        except (ValueError, TypeError, OverflowError) as error:
-            return Failure(cause="page_error", words=str(error))
+
+def _read(outcome: Any | Failure, view: pages.View) -> pages.Answer | Failure:
+    if isinstance(outcome, Failure):
+        return outcome
+    if outcome == pages.GONE:
+        return Failure(cause="navigated")
+    try:
+        return pages.decode(outcome, view)
+    except (ValueError, TypeError, OverflowError) as error:
+        return Failure(cause="page_error", words=str(error))

@@ -30,18 +30,10 @@ class Hub:
     """
 
     def __init__(
-        self,
-        tools: DevTools,
-        url: str,
-        numbers: Sequence[int],
-        *,
-        script: str,
-        emulation: tuple[tuple[str, Json], ...],
-        timeout_s: float,
+        self, tools: DevTools, url: str, numbers: Sequence[int], *, view: pages.View, timeout_s: float
     ) -> None:
-        self._script = script
-        self._emulation = emulation
         self._tools = tools
+        self._view = view
         self._timeout_s = timeout_s
         blank = {"url": "about:blank", "background": True}
         self.page = self._attach(self._call(BROWSER, "Target.createTarget", blank)["targetId"])
@@ -93,10 +85,9 @@ class Hub:
         for info in self._call(BROWSER, "Target.getTargets")["targetInfos"]:
             if info.get("openerId") == self.page.target and info["targetId"] not in known:
                 tab = self._attach(info["targetId"])
-                for method, params in self._emulation:
+                self._call(tab.session, "Page.addScriptToEvaluateOnNewDocument", {"source": self._view.script})
+                for method, params in self._view.emulation:
                     self._call(tab.session, method, params)
-                source = {"source": self._script}
-                self._call(tab.session, "Page.addScriptToEvaluateOnNewDocument", source)
                 return tab
         raise RuntimeError(f"tab {number} did not open")
 

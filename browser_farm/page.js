@@ -5,8 +5,8 @@
 
   const FOREVER_MS = 2147483647;  // the longest a timer may wait; the step limit is the farm's
   const IMAGES_MS = 2000;
-  const WAIT = '"wait"', GONE = '"gone"';
   const OPENING_MS = 100;  // of the page's time before it is first seen: what it draws, it draws with the next frame
+  const WAIT = '"wait"', GONE = '"gone"';
 
   let open = false;            // an episode was started in this document
 
@@ -46,7 +46,7 @@
     return reading.flat(String(typeof said === 'object' && said !== null ? said.utterance : said));
   }
 
-  function start(seed, mode) {
+  function start([seed, mode]) {
     hush();
     frame.forget();
     core.setDataMode(mode);
@@ -77,9 +77,9 @@
 
   let waited = null;  // the answer that step() could not give at once
 
-  function opened([seed, mode], reward, done, ...reason) {
+  function opened(next, reward, done, ...reason) {
     const reply = () => JSON.stringify([reward, done, (shown() || frame).walk(), utterance(), ...reason]);
-    const wait = start(seed, mode);
+    const wait = start(next);
     if (wait === null) return reply();
     waited = wait.then(reply);
     return WAIT;  // asking Chrome to wait for every answer would cost each step a third more
@@ -115,7 +115,7 @@
     return Promise.race([settled(icons), new Promise((go) => setTimeout(go, IMAGES_MS))]);
   }
 
-  function begin(...next) {
+  function begin(next) {
     if (icons !== null) return opened(next, 0, false);
     const load = document.readyState === 'complete' ? Promise.resolve()
       : new Promise((go) => window.addEventListener('load', () => setTimeout(go)));
@@ -125,7 +125,7 @@
   }
 
   // All answers are JSON.
-  const answer = (words) => (words.length === 2 ? begin(...words) : step(...words));
+  const answer = (words) => (words.length === 1 ? begin(...words) : step(...words));
 
   Object.defineProperty(window, 'giirl', { value: { answer, isOpen: () => open, later: () => waited } });
 })();

@@ -29,28 +29,8 @@ def source(name: str) -> str:
     return Path(__file__).with_name(f"{name}.js").read_text(encoding="utf-8")
 
 
-@functools.cache
-def script(*first: str, reader: str = "reading") -> str:
-    """The source that Chrome runs in every document before the page's own scripts; `first` goes before all others."""
-    parts = [source(name) for name in (*first, *SCRIPTS)]
-    parts.insert(parts.index(source("frame")), f"const view = {reader};")
-    codes = json.dumps({**keys.NAMED, **keys.CODES})
-    return (
-        f"(() => {{\nif ('giirlFrame' in window) return;\nconst KEY_CODES = {codes};\n" + "\n".join(parts) + "\n})();\n"
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class View:
-    """A way to look at pages: the script that reads them, and what makes its columns a Page."""
-
-    reader: str
-    decode: Callable[[list[Any]], Page]
-    emulation: tuple[tuple[str, dict[str, Any]], ...] = ()  # DevTools methods and parameters, called once in every tab
-
-
 def start_call(episode: EpisodeSpec) -> Json:
-    return [episode.seed, episode.mode]
+    return [[episode.seed, episode.mode]]
 
 
 def step_call(command: Command, task: str) -> Json:
@@ -60,29 +40,6 @@ def step_call(command: Command, task: str) -> Json:
     begins = [following.seed, following.mode] if following is not None and stays else None
     action = [int(command.verb), command.ref, command.text, *command.at, *command.by, command.to]
     return [action, command.last, begins]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Answer:
-    """What page.js says; `page` is missing where no episode goes on, `goal` where none begins."""
-
-    raw_reward: float
-    done: bool
-    page: Page | None
-    goal: Goal | None
-    reason: str = ""  # for the reward, where the page gives one
-
-
-def decode(words: Json, view: View) -> Answer:
-    """The answer in what a page said; ValueError or TypeError when it is none."""
-    raw_reward, done, columns, utterance, *reason = words
-    return Answer(
-        raw_reward=float(raw_reward),
-        done=bool(done),
-        page=None if columns is None else view.decode(columns),
-        goal=None if utterance is None else Goal(utterance),
-        reason=str(reason[0]) if reason else "",
-    )
 
 
 def decode_page(columns: list[Any]) -> Page:
@@ -113,4 +70,47 @@ def _scattered(rows: list[int], values: list[str], count: int) -> tuple[str, ...
     return tuple(column)
 
 
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """A way to look at pages: the script that reads them, and what makes its columns a Page."""
+
+    reader: str
+    decode: Callable[[Json], Page]
+    emulation: tuple[tuple[str, dict[str, Any]], ...] = ()  # DevTools methods and parameters, called once in every tab
+    first: tuple[str, ...] = ()  # scripts that go before all others
+
+    @functools.cached_property
+    def script(self) -> str:
+        """The source that Chrome runs in every document before the page's own scripts."""
+        names = (*self.first, *SCRIPTS)
+        parts = [source(name) for name in names]
+        parts.insert(names.index("frame"), f"const view = {self.reader};")
+        codes = json.dumps({**keys.NAMED, **keys.CODES})
+        head = f"(() => {{\nif ('giirlFrame' in window) return;\nconst KEY_CODES = {codes};\n"
+        return head + "\n".join(parts) + "\n})();\n"
+
+
 ROWS = View(reader="reading", decode=decode_page)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """What page.js says; `page` is missing where no episode goes on, `goal` where none begins."""
+
+    raw_reward: float
+    done: bool
+    page: Page | None
+    goal: Goal | None
+    reason: str  # for the reward, where the page gives one
+
+
+def decode(words: Json, view: View = ROWS) -> Answer:
+    """The answer in what a page said; ValueError or TypeError when it is none."""
+    raw_reward, done, columns, utterance, *reason = words
+    return Answer(
+        raw_reward=float(raw_reward),
+        done=bool(done),
+        page=None if columns is None else view.decode(columns),
+        goal=None if utterance is None else Goal(utterance),
+        reason=str(reason[0]) if reason else "",
+    )

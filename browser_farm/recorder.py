@@ -53,7 +53,7 @@ class Recorder:
     ) -> None:
         self._tabs = Tabs(
             1,
-            script=pages.script("recorder"),
+            view=pages.View(reader="reading", decode=pages.decode_page, first=("recorder",)),
             call_timeout_s=call_timeout_s,
             launch_timeout_s=launch_timeout_s,
             headless=headless,

@@ -38,16 +38,14 @@ class Tabs:
         self,
         count: int,
         *,
-        script: str,
-        emulation: tuple[tuple[str, Json], ...] = (),
+        view: pages.View,
         call_timeout_s: float,
         launch_timeout_s: float,
         headless: bool,
         no_sandbox: bool | None,
     ) -> None:
         self._count = count
-        self._script = script
-        self._emulation = emulation
+        self._view = view
         self._call_timeout_s = call_timeout_s
         self._launch_timeout_s = launch_timeout_s
         self._headless = headless
@@ -147,6 +145,20 @@ class Tabs:
                 failures[tab] = Failure(cause="navigated", words=words)
         return failures
 
+    def screenshot(self, tab: int, width: int, height: int) -> bytes | Failure:
+        """The upper left corner of a page as PNG. The tab is shown meanwhile: Chrome draws no other."""
+        clip = {"x": 0, "y": 0, "width": width, "height": height, "scale": 1}
+        shot = {"format": "png", "clip": clip, "optimizeForSpeed": True}
+        reply = self._call_all("Page.bringToFront", {tab: {}})[tab]
+        if not isinstance(reply, Failure):
+            reply = self._call_all("Page.captureScreenshot", {tab: shot})[tab]
+        self._tools.post(BROWSER, "Target.activateTarget", self._aside())
+        if isinstance(reply, Failure):
+            return reply
+        if not reply.result:
+            return Failure(cause="page_error", words=reply.error)
+        return base64.b64decode(reply.result["data"])
+
     def rebuild(self, tab: int) -> set[int]:
         """Give up the process that a tab lives in, and open all of its tabs anew; they are named."""
         index = self._hubs.index(self._hub(tab))
@@ -154,19 +166,6 @@ class Tabs:
         old.close()
         self._hubs[index] = self._open_hub(list(old.tabs))
         return set(old.tabs)
-
-    def screenshot(self, tab: int, width: int, height: int) -> bytes | Failure:
-        """The upper left corner of a page as PNG. The tab is brought to the front: Chrome draws no other."""
-        clip = {"x": 0, "y": 0, "width": width, "height": height, "scale": 1}
-        shot = {"format": "png", "clip": clip, "optimizeForSpeed": True}
-        reply = self._call_all("Page.bringToFront", {tab: {}})[tab]
-        if not isinstance(reply, Failure):
-            reply = self._call_all("Page.captureScreenshot", {tab: shot})[tab]
-        if isinstance(reply, Failure):
-            return reply
-        return (
-            base64.b64decode(reply.result["data"]) if reply.result else Failure(cause="page_error", words=reply.error)
-        )
 
     def has_crashed(self, tab: int) -> bool:
         """Whether the process of this tab is gone."""
@@ -193,20 +192,15 @@ class Tabs:
     def _open_hub(self, numbers: Sequence[int]) -> Hub:
         tools = self._tools
         try:
-            hub = Hub(
-                tools,
-                self.chrome.hub_url,
-                numbers,
-                script=self._script,
-                emulation=self._emulation,
-                timeout_s=self._launch_timeout_s,
-            )
+            hub = Hub(tools, self.chrome.hub_url, numbers, view=self._view, timeout_s=self._launch_timeout_s)
             # A tab that is shown draws frames. The one that Chrome began with draws nothing.
-            shown = {"targetId": self.chrome.first_target}
-            tools.call(BROWSER, "Target.activateTarget", shown, timeout_s=self._launch_timeout_s)
+            tools.call(BROWSER, "Target.activateTarget", self._aside(), timeout_s=self._launch_timeout_s)
         except (TimeoutError, RuntimeError) as error:
             raise BrowserGone(f"Chrome opens no tab: {error}") from error
         return hub
+
+    def _aside(self) -> Json:
+        return {"targetId": self.chrome.first_target}
 
     def _hub(self, tab: int) -> Hub:
         return next(hub for hub in self._hubs if tab in hub.tabs)

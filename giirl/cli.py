@@ -14,6 +14,7 @@ from rich.table import Column, Table
 
 from giirl.cli_demos import demos, writable
 from giirl.cli_reproduce import reproduce
+from giirl.cli_reproduce_web import commands
 from giirl.config import Config
 from giirl.config_file import changed, dump_config, load_config
 from giirl.doctor import checks
@@ -161,6 +162,8 @@ def toggle(run: Path, task: str, pages: int, json_file: Path | None) -> None:
 
 giirl.add_command(demos)
 giirl.add_command(reproduce)
+for study in commands():
+    reproduce.add_command(study)
 
 
 def check_tasks(config: Config) -> None:

@@ -177,11 +177,11 @@ def test_a_step_is_one_call_to_each_tab_and_restarting_costs_none(
 ) -> None:
     observed, _ = envs.reset(seed=20)
     calls: list[int] = []
-    ask = envs._farm._tabs.ask
+    evaluate = envs._farm._tabs.ask
 
-    def counting(asked: dict[int, list[Any]]) -> Any:
+    def counting(asked: dict[int, list[Any]], **how: Any) -> Any:
         calls.append(len(asked))
-        return ask(asked)
+        return evaluate(asked, **how)
 
     monkeypatch.setattr(envs._farm._tabs, "ask", counting)
     submit = [next((e["ref"] for e in page if e["tag"] == "button"), 0) for page in observed["dom_elements"]]

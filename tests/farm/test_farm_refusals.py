@@ -65,13 +65,13 @@ def test_a_farm_refuses_numbers_that_cannot_be_meant(wrong: dict[str, float]) ->
 @pytest.mark.parametrize("text", ["0", "null", "[1]", '[0,false,[["a"],[],[],[],[],[]],"Go."]', '[0,false,null,""]'])
 def test_an_answer_that_is_none_is_a_value_error(text: str) -> None:
     with pytest.raises((ValueError, TypeError)):
-        pages.decode(json.loads(text), pages.ROWS)
+        pages.decode(json.loads(text))
 
 
 def test_an_answer_becomes_a_page_row_by_row() -> None:
     strings = '["p","input_text"],["hi",""],["","x"],["a b",""]'
     numbers = '[1,-1,0,2,-1,3],[0,1,2,3,4,5,6,7.5],[1,"red","circle"]'
-    answer = pages.decode(json.loads(f'[0.5,true,[{strings},{numbers}],"Go on."]'), pages.ROWS)
+    answer = pages.decode(json.loads(f'[0.5,true,[{strings},{numbers}],"Go on."]'))
     assert answer.page is not None
     assert answer.goal is not None
     assert (answer.raw_reward, answer.done, answer.goal.utterance) == (0.5, True, "Go on.")
