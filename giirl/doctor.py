@@ -35,6 +35,7 @@ PACKAGES = (
     ("miniwob", "miniwob"),
     ("msgpack", "msgpack"),
     ("numpy", "numpy"),
+    ("pillow", "PIL"),
     ("prometheus-client", "prometheus_client"),
     ("psutil", "psutil"),
     ("pyarrow", "pyarrow"),
