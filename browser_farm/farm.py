@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -157,7 +156,7 @@ class ChromeFarm:
         """Answers of the pages; a tab without one has been marked lost and mended."""
         answers: dict[int, pages.Answer] = {}
         try:
-            for tab, outcome in self._evaluate(calls).items():
+            for tab, outcome in self._tabs.ask(calls).items():
                 answer = _read(outcome, self._view)
                 if isinstance(answer, Failure):
                     self._shown[tab].lost = answer.cause
@@ -168,13 +167,6 @@ class ChromeFarm:
             self._relaunch()
             return {}
         return answers
-
-    def _evaluate(self, calls: Mapping[int, pages.Json]) -> dict[int, Any | Failure]:
-        outcomes = self._tabs.ask(calls) if calls else {}
-        later = {tab: pages.LATER for tab, outcome in outcomes.items() if outcome == pages.WAIT}
-        for tab, outcome in (self._tabs.evaluate(later, promised=True) if later else {}).items():
-            outcomes[tab] = json.loads(outcome) if isinstance(outcome, str) else outcome
-        return outcomes
 
     def _advance(self, tab: int, command: Command, answer: pages.Answer | None) -> StepResult:
         """Note what the tab shows now; the result lacks an observation where the farm has to open one."""
@@ -226,7 +218,7 @@ class ChromeFarm:
         }
         failures = self._tabs.navigate(urls) if urls else {}
         calls = {tab: pages.start_call(episode) for tab, episode in missing.items() if tab not in failures}
-        for tab, outcome in self._evaluate(calls).items():
+        for tab, outcome in self._tabs.ask(calls).items():
             answer = _read(outcome, self._view)
             if isinstance(answer, Failure):
                 failures[tab] = answer

@@ -88,7 +88,7 @@ const gestures = (() => {
     const select = option.closest('select');
     if (!select || option.closest(':disabled')) return;
     select.focus({ preventScroll: true });
-    if (select.multiple) for (const other of select.options) other.selected = other === option;
+    if (select.multiple) option.selected = !option.selected;  // as WebDriver does: two can be chosen without a key
     else select.selectedIndex = option.index;
     select.dispatchEvent(new Event('input', { bubbles: true }));
     select.dispatchEvent(new Event('change', { bubbles: true }));

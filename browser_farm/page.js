@@ -127,5 +127,5 @@
   // All answers are JSON.
   const answer = (words) => (words.length === 1 ? begin(...words) : step(...words));
 
-  Object.defineProperty(window, 'giirl', { value: { answer, later: () => waited } });
+  Object.defineProperty(window, 'giirl', { value: { answer, isOpen: () => open, later: () => waited } });
 })();

@@ -77,12 +77,14 @@ class View:
     reader: str
     decode: Callable[[Json], Page]
     emulation: tuple[tuple[str, dict[str, Any]], ...] = ()  # DevTools methods and parameters, called once in every tab
+    first: tuple[str, ...] = ()  # scripts that go before all others
 
     @functools.cached_property
     def script(self) -> str:
         """The source that Chrome runs in every document before the page's own scripts."""
-        parts = [source(name) for name in SCRIPTS]
-        parts.insert(SCRIPTS.index("frame"), f"const view = {self.reader};")
+        names = (*self.first, *SCRIPTS)
+        parts = [source(name) for name in names]
+        parts.insert(names.index("frame"), f"const view = {self.reader};")
         codes = json.dumps({**keys.NAMED, **keys.CODES})
         head = f"(() => {{\nif ('giirlFrame' in window) return;\nconst KEY_CODES = {codes};\n"
         return head + "\n".join(parts) + "\n})();\n"

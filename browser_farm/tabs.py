@@ -82,7 +82,15 @@ class Tabs:
         self._hubs.clear()
 
     def ask(self, questions: Mapping[int, pages.Json]) -> dict[int, Any | Failure]:
-        """Ask the pages of many tabs, one call for each process, and have their answers as values.
+        """Ask the pages of many tabs, and have their answers as values; a page that still loads is waited for."""
+        answers = self._ask_hubs(questions)
+        later = {tab: pages.LATER for tab, answer in answers.items() if answer == pages.WAIT}
+        for tab, text in (self.evaluate(later, promised=True) if later else {}).items():
+            answers[tab] = json.loads(text) if isinstance(text, str) else text
+        return answers
+
+    def _ask_hubs(self, questions: Mapping[int, pages.Json]) -> dict[int, Any | Failure]:
+        """One call for each process.
 
         A page that does not come back is interrupted; the tabs behind it in its process are asked again.
         """
@@ -162,6 +170,10 @@ class Tabs:
     def has_crashed(self, tab: int) -> bool:
         """Whether the process of this tab is gone."""
         return self._hub(tab).crashed
+
+    def show(self, tab: int) -> None:
+        """Bring a tab to the front, where a person can see and use it."""
+        self._tools.post(self._tab(tab).session, "Page.bringToFront")
 
     @property
     def _tools(self) -> DevTools:

@@ -127,6 +127,14 @@ class Page:
         leaf[self.parent[self.parent >= 0]] = False
         return leaf
 
+    def below(self, row: int) -> list[int]:
+        """Every row that is part of this one, in document order."""
+        inside = {row}
+        for later in range(row + 1, len(self.tag)):
+            if int(self.parent[later]) in inside:
+                inside.add(later)
+        return sorted(inside - {row})
+
     @property
     def typable(self) -> NDArray[np.bool_]:
         """[E] True for fields that take text."""

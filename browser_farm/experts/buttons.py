@@ -5,6 +5,8 @@ from __future__ import annotations
 from browser_farm.experts.sight import ORDINAL, Sight, plays
 from giirl.spec import Action
 
+GROWN_PX = 2  # the labels of a closed pie lie on one point
+
 
 @plays("click-test")
 def click_the_button(see: Sight) -> Action:
@@ -98,20 +100,13 @@ def focus_the_nth_field(see: Sight) -> Action:
 
 @plays("click-menu")
 def walk_the_menu(see: Sight) -> Action:
-    """Rest the mouse on an entry, open what is below it with a key, click the last one."""
+    """Rest the mouse on an entry until what is below it opens, click the last one."""
     path = see.words(r"Select (.+)$").split(">")
-    entries = [row for name in path if (row := _entry(see, name)) is not None]
+    entries = [row for name in path for row in see.rows(text=name)]
     last = entries[-1]
     if len(entries) == len(path):
         return see.click(last)
-    if see.has(see.above(last, "li") if see.page.tag[last] == "t" else last, "ui-state-active"):
-        return see.press("ArrowRight", see.row("ul", kind="ui-menu"))
     return see.hover(last)
-
-
-def _entry(see: Sight, name: str) -> int | None:
-    rows = see.rows(text=name)
-    return rows[0] if rows else None
 
 
 @plays("click-widget")
@@ -122,6 +117,5 @@ def click_a_kind_of_widget(see: Sight) -> Action:
 
 @plays("click-pie", "click-pie-nodelay")
 def open_the_pie(see: Sight) -> Action:
-    label = see.row("tspan", see.quoted()[0])
-    grown = see.page.box[label, 3] > 2
-    return see.click(label if grown else see.row("tspan", "+"))
+    label, opened = see.row("tspan", see.quoted()[0]), see.rows("tspan", "+")
+    return see.click(label if see.page.box[label, 3] > GROWN_PX else opened[0] if opened else label)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import calendar
 import re
 
+from browser_farm.experts.forms import take_suggestion
 from browser_farm.experts.sight import Sight, plays
 from giirl.spec import Action
 
@@ -18,7 +19,7 @@ def choose_the_date(see: Sight) -> Action:
 
 
 def pick_date(see: Sight, field: int, date: str) -> Action | None:
-    """Open the calendar of a field, leaf to the month and click the day; None when the field holds the date."""
+    """Open the calendar of a field, turn to the month and click the day; None when the field holds the date."""
     if see.page.value[field] == date:
         return None
     shown = see.rows("span", kind="ui-datepicker-month")
@@ -46,12 +47,10 @@ def book_the_best_flight(see: Sight) -> Action:
 
 def _fly(see: Sight, field: int, place: str) -> Action | None:
     """Type the place and take the suggestion that has it; None when it was taken."""
-    if place in see.page.value[field] and see.page.value[field].endswith(")"):
+    value = see.page.value[field]
+    if place in value and value.endswith(")"):
         return None
-    if see.page.value[field] == place:
-        names = [row for row in see.rows("div", kind="ui-menu-item-wrapper") if place in see.reading(row)]
-        return see.click(see.leaf(names[0]) if names else field)
-    return see.type(field, place)
+    return see.fill({field: place}) or take_suggestion(see, lambda name: place in name)
 
 
 def _price(see: Sight, flight: int) -> int:

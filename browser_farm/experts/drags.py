@@ -4,13 +4,26 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
+from numpy.typing import NDArray
+
 from browser_farm.experts.shapes import kind, shapes
 from browser_farm.experts.sight import ORDINAL, Sight, plays
 from giirl.spec import Action
 
 STEPS = {"left": (-1.0, 0.0), "right": (1.0, 0.0), "up": (0.0, -1.0), "down": (0.0, 1.0)}
-PLACES = ("top left", "top center", "top right", "center left", "center", "center right")
-PLACES = (*PLACES, "bottom left", "bottom center", "bottom right")
+PAGE = 10  # further away than this a page is no more than twice too much: it is a fifth of 5, 10, 50 or 100
+PLACES = {  # of a tile: line and column
+    "top left": (0, 0),
+    "top center": (0, 1),
+    "top right": (0, 2),
+    "center left": (1, 0),
+    "center": (1, 1),
+    "center right": (1, 2),
+    "bottom left": (2, 0),
+    "bottom center": (2, 1),
+    "bottom right": (2, 2),
+}
 
 
 @plays("drag-circle", "drag-single-shape")
@@ -31,9 +44,9 @@ def drag_the_box_inside(see: Sight) -> Action:
 
 
 def _inside(see: Sight, row: int, box: int) -> bool:
-    x, y = see.centre(row)
-    left, top, width, height = (float(each) for each in see.page.box[box])
-    return left < x < left + width and top < y < top + height
+    """Whether a row lies wholly in a box."""
+    left, top, width, height = see.page.box[row] - see.page.box[box]
+    return bool(left > 0 and top > 0 and left + width < 0 and top + height < 0)
 
 
 def _boxes(see: Sight) -> list[int]:
@@ -81,11 +94,17 @@ def drag_the_item(see: Sight) -> Action:
 def drag_the_tile(see: Sight) -> Action:
     items = see.rows("li")
     name, where = re.findall(r"Drag (.+?) (?:to the (.+)|\w+ by one)\.$", see.said)[0]
-    start = [see.reading(item) for item in items].index(name)
+    line, column = divmod([see.reading(item) for item in items].index(name), 3)
     if where:
-        return see.drag(items[start], to=items[PLACES.index(where)])
-    across, down = STEPS[see.words(r"(\w+) by one")]
-    return see.drag(items[start], to=items[start + int(across) + 3 * int(down)])
+        to_line, to_column = PLACES[where]
+    else:
+        right, down = STEPS[see.words(r"(\w+) by one")]
+        to_line, to_column = line + int(down), column + int(right)
+    rightwards, upwards = to_column > column, to_line < line
+    # A tile comes to lie behind those whose middle it has passed, also on its way.
+    across = 6.0 if rightwards and not upwards else -26.0 if rightwards else -10.0
+    tile, place = items[3 * line + column], items[3 * to_line + to_column]
+    return see.drag(tile, to=place, by=(across, -6.0 if upwards else 0.0))
 
 
 @plays("drag-sort-numbers")
@@ -105,13 +124,11 @@ def _reorder(see: Sight, items: list[int], start: int, end: int) -> Action:
 
 @plays("resize-textarea")
 def resize_the_field(see: Sight) -> Action:
-    area = see.row("textarea")
     across, larger = "width" in see.said, "larger" in see.said
     grip = see.row(kind="ui-resizable-e" if across else "ui-resizable-s")
     if see.page.tampered[grip]:
         return see.press_button("Submit")
     change = 15.0 if larger else -15.0
-    del area
     return see.drag(grip, by=(change, 0.0) if across else (0.0, change))
 
 
@@ -121,7 +138,8 @@ def draw_through_the_dot(see: Sight) -> Action:
         return see.press_button("Submit")
     across, down = STEPS["right" if "horizontal" in see.said else "down"]
     dot = see.row("circle")
-    return see.drag(dot, at=(-24 * across, -24 * down), by=(48 * across, 48 * down))
+    # A line that is quite straight has no height, and what has no height is not seen.
+    return see.drag(dot, at=(-24 * across, -24 * down), by=(48 * across + down, 48 * down + across))
 
 
 @plays("highlight-text", "highlight-text-2")
@@ -174,9 +192,36 @@ def slide_and_check(see: Sight) -> Action:
 
 
 def _slide(see: Sight, handles: list[int], wanted: list[int]) -> Action:
-    """Press arrows in the handles until the numbers beside them are right, then submit."""
+    """Press keys in the handles until the numbers beside them are right, then submit."""
     shown = [int(text) for text in see.page.text if re.fullmatch(r"-?\d+", text)]
     for handle, now, goal in zip(handles, shown, wanted, strict=True):
         if now != goal:
-            return see.press("ArrowRight" if goal > now else "ArrowLeft", handle)
+            by_page = abs(goal - now) > PAGE
+            keys = ("PageUp", "PageDown") if by_page else ("ArrowRight", "ArrowLeft")
+            return see.press(keys[goal < now], handle)
     return see.press_button("Submit")
+
+
+@plays("daily-calendar")
+def enter_an_event(see: Sight) -> Action:
+    """Drag over as many half hours as the event takes, where none of the others lies; then name it."""
+    named = see.rows("input_text")
+    if named:
+        return see.fill({named[0]: see.quoted()[0]}) or see.press_button("Create")
+    amount, unit = re.findall(r"Create a ([\d.]+) (hour|min)", see.said)[0]
+    length = round(float(amount) * 2 if unit == "hour" else float(amount) / 30)
+    clock = [12 * (half == "PM") + int(hour) % 12 for hour, half in re.findall(r"(\d+)([AP]M)", see.said)]
+    slots = see.rows(kind="half-hour")
+    taken = [see.page.box[row] for row in see.rows("div") if "event" in see.page.classes[row]]
+    free = [all(_apart(see.page.box[slot], box) for box in taken) for slot in slots]
+    first = next(i for i in range(2 * clock[0], 2 * clock[1] - length + 1) if all(free[i : i + length]))
+    start, end = slots[first], slots[first + length - 1]
+    area = see.page.box[0]
+    if see.page.box[start, 1] < area[1] or see.page.box[end, 1] + see.page.box[end, 3] > area[1] + area[3]:
+        return see.scroll(0, float(see.page.box[start, 1] - area[1]) - 20.0)
+    return see.drag(start, to=end, by=(0.0, 2.0))
+
+
+def _apart(box: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
+    """Whether one of two boxes is above the other."""
+    return bool(box[1] + box[3] <= other[1] + 2 or other[1] + other[3] <= box[1] + 2)

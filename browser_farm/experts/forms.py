@@ -1,11 +1,34 @@
-"""Pages where something is typed: fields, searches, log-ins."""
+"""Pages where something is typed: fields, searches, log-ins, tables, sums."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
 from browser_farm.experts.sight import ORDINAL, Sight, plays
 from giirl.spec import Action
+
+COLOURS = {
+    "aqua": "00ffff",
+    "black": "000000",
+    "blue": "0000ff",
+    "gold": "ffd700",
+    "gray": "808080",
+    "green": "008000",
+    "lime": "00ff00",
+    "magenta": "ff00ff",
+    "maroon": "800000",
+    "navy": "000080",
+    "olive": "808000",
+    "orange": "ffa500",
+    "pink": "ffc0cb",
+    "purple": "800080",
+    "red": "ff0000",
+    "silver": "c0c0c0",
+    "teal": "008080",
+    "white": "ffffff",
+    "yellow": "ffff00",
+}
 
 
 @plays("enter-text", "enter-text-dynamic", "enter-password")
@@ -168,3 +191,50 @@ def choose_then_press(see: Sight) -> Action:
         return see.press_button(see.quoted()[0])
     options = see.rows("li", wanted)
     return see.click(options[0] if options else see.row("span", kind="label"))
+
+
+@plays("use-colorwheel")
+def enter_the_colour(see: Sight) -> Action:
+    colour = COLOURS[see.words(r"Select (\w+) with")]
+    field = see.row("input_text")
+    if see.page.value[field].lower() == colour:
+        return see.press_button("Submit")
+    return see.type(field, colour)
+
+
+@plays("use-autocomplete", "use-autocomplete-nodelay")
+def enter_an_item(see: Sight) -> Action:
+    field = see.row("input_text")
+    start, end = [*see.quoted(), ""][:2]
+    value = see.page.value[field]
+    if len(value) > len(start) and value.startswith(start) and value.endswith(end):
+        return see.press_button("Submit")
+    action = see.fill({field: start})
+    return action or take_suggestion(see, lambda name: name.startswith(start) and name.endswith(end))
+
+
+def take_suggestion(see: Sight, fits: Callable[[str], bool]) -> Action:
+    """Click what fits among the suggestions below a field."""
+    suggested = see.rows("div", kind="ui-menu-item-wrapper")
+    return see.click(see.leaf(next(row for row in suggested if fits(see.reading(row)))))
+
+
+@plays("terminal")
+def delete_a_file(see: Sight) -> Action:
+    """List the files, then remove one that ends as asked: each command typed, then Enter."""
+    lines = [row for row in see.rows("div") if see.has(row, "terminal-line") or see.has(row, "terminal-output")]
+    texts = [see.reading(row) for row in lines]
+    listed = [i for i, text in enumerate(texts[:-1]) if text == "user$ ls"]
+    command = f"rm {_file(see, texts[listed[0] + 1])}" if listed else "ls"
+    field = see.row("input_text")
+    typed = texts[-1].removeprefix("user$").removesuffix("█").strip()
+    return see.press("Enter", field) if typed == command else see.type(field, command)
+
+
+def _file(see: Sight, listing: str) -> str:
+    ending = re.search(r"extension (\.\S+)$", see.said)
+    return next(
+        name
+        for name in listing.split()
+        if ("." not in name if ending is None else name.partition(".")[2] == ending[1][1:])
+    )

@@ -46,6 +46,13 @@ def guess_by_halves(see: Sight) -> Action:
     return see.fill({field: guess}) or see.press_button("Submit")
 
 
+@plays("stock-market")
+def buy_when_it_is_cheap(see: Sight) -> Action:
+    limit = float(see.words(r"less than \$([\d.]+)\.$"))
+    prices = [float(text[1:]) for text in see.page.text if re.fullmatch(r"\$[\d.]+", text)]
+    return see.press_button("Buy") if prices and prices[0] < limit else see.wait()
+
+
 @plays("tic-tac-toe")
 def play_for_the_win(see: Sight) -> Action:
     """Best play: the other player is careless only half of the time, so even it does not always win."""

@@ -44,7 +44,7 @@ def do_what_is_wished(see: Sight) -> Action:
     found = (re.search(pattern, see.said) for pattern in RECIPIENT)
     recipient = "" if reply or delete or star else next(match[1] for match in found if match)
     senders = {see.page.text[row] for row in see.rows(kind="email-sender")} - {recipient}
-    sender = max((name for name in senders if re.search(rf"{re.escape(name)}(?!\w)", see.said)), key=len, default="")
+    sender = max((name for name in senders if re.search(rf"\b{re.escape(name)}", see.said)), key=len, default="")
     if reply:
         return _write(see, sender, "reply", see.words(r'"+(.*?)\s?"+'))
     if delete or star:

@@ -48,7 +48,7 @@ class Sight:
     ) -> list[int]:
         """Rows with this tag, this text, this among their classes, somewhere below this row."""
         page = self.page
-        rows = range(len(page)) if inside is None else self.below(inside)
+        rows = range(len(page)) if inside is None else self.page.below(inside)
         return [
             row
             for row in rows
@@ -69,14 +69,6 @@ class Sight:
             raise ValueError(f"nothing with {wanted} on the page of {self.seen.episode}")
         return rows[0]
 
-    def below(self, row: int) -> list[int]:
-        """Every row that is part of this one, in document order."""
-        inside = {row}
-        for later in range(row + 1, len(self.page)):
-            if int(self.page.parent[later]) in inside:
-                inside.add(later)
-        return sorted(inside - {row})
-
     def above(self, row: int, tag: str | None = None, kind: str | None = None) -> int:
         """The nearest row around this one with such a tag and class."""
         around = self.rows(tag, None, kind)
@@ -89,11 +81,11 @@ class Sight:
 
     def reading(self, row: int) -> str:
         """All the text of a row and what is in it."""
-        return " ".join(self.page.text[each] for each in (row, *self.below(row)) if self.page.text[each])
+        return " ".join(self.page.text[each] for each in (row, *self.page.below(row)) if self.page.text[each])
 
     def leaf(self, row: int) -> int:
         """The first leaf of a row, itself where it is one: what a policy may click."""
-        below = self.below(row)
+        below = self.page.below(row)
         return next((each for each in below if self.page.leaf[each]), row)
 
     def has(self, row: int, kind: str) -> bool:
@@ -117,6 +109,9 @@ class Sight:
     def press(self, key: str, row: int = NO_ELEMENT) -> Action:
         """A key or a chord, in a row or where the focus is."""
         return Action(verb=Verb.PRESS, element=row, literal=key)
+
+    def wait(self) -> Action:
+        return Action(verb=Verb.WAIT)
 
     def hover(self, row: int) -> Action:
         return Action(verb=Verb.HOVER, element=row)

@@ -11,7 +11,6 @@ import threading
 import psutil
 import pytest
 
-from browser_farm.experts import EXPERTS, expert
 from browser_farm.miniwob import STICKY
 from giirl.spec import Command, EpisodeSpec, StepResult, Verb
 from tests.farm.real_farm import Farm, click, seen
@@ -55,31 +54,6 @@ def test_a_following_episode_is_the_page_that_a_reset_would_show(farm: Farm) -> 
         result = farm.chrome.step({0: command})[0]
         assert (seen(result.observation), result.done, result.raw_reward) == (page, False, 0.0)
         assert observation.episode.seed == 5
-
-
-@pytest.mark.parametrize("task", sorted(EXPERTS))
-def test_the_expert_of_a_task_succeeds_on_every_page(farm: Farm, task: str) -> None:
-    play = expert(task)
-    observations = farm.open(task, 1, 2, 3)
-    rewards = {}
-    while observations:
-        commands = {}
-        for tab, observation in observations.items():
-            action = play(observation)
-            commands[tab] = Command(
-                verb=action.verb,
-                ref=int(observation.page.ref[action.element]),
-                text=action.text(observation.goal),
-                following=EpisodeSpec(task=task, seed=observation.episode.seed + 3),
-            )
-        for tab, result in farm.chrome.step(commands).items():
-            if result.done:
-                rewards[observations[tab].episode.seed] = result.raw_reward
-            assert result.observation is not None
-            observations[tab] = result.observation
-            if result.observation.episode.seed > 25:
-                del observations[tab]
-    assert rewards == dict.fromkeys(range(1, 26), 1.0)
 
 
 def test_typing_replaces_what_a_field_held_and_marks_it(farm: Farm) -> None:

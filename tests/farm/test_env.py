@@ -179,7 +179,7 @@ def test_a_step_is_one_call_to_each_tab_and_restarting_costs_none(
     calls: list[int] = []
     evaluate = envs._farm._tabs.ask
 
-    def counting(asked: dict[int, str], **how: Any) -> Any:
+    def counting(asked: dict[int, list[Any]], **how: Any) -> Any:
         calls.append(len(asked))
         return evaluate(asked, **how)
 
