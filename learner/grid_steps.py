@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
+import safetensors.numpy
 import torch
 from numpy.typing import NDArray
 
@@ -71,8 +72,19 @@ class Steps:
             goal=np.repeat(goal, actions.shape[1]),
         )
 
+    def seal(self) -> bytes:
+        """As safetensors."""
+        blob: bytes = safetensors.numpy.save({name: getattr(self, name) for name in COLUMNS})
+        return blob
 
-NOTHING = Steps(**{name: np.zeros(0, dtype=np.int64) for name in ("state", "action", "following", "goal")})
+    @classmethod
+    def unseal(cls, blob: bytes) -> Steps:
+        """The inverse."""
+        return cls(**safetensors.numpy.load(blob))
+
+
+COLUMNS = tuple(field.name for field in fields(Steps))
+NOTHING = Steps(**{name: np.zeros(0, dtype=np.int64) for name in COLUMNS})
 
 
 def expert_steps(
@@ -133,7 +145,7 @@ class GridSource:
     """Plays the policy under random sentences of those that training may see."""
 
     def __init__(self, world: World, sight: Sight, goals: Index, net: QNet, rng: np.random.Generator) -> None:
-        self._world, self._sight, self._goals, self._net, self._rng = world, sight, goals, net, rng
+        self.world, self._sight, self._goals, self._net, self._rng = world, sight, goals, net, rng
         self._end = sight.end if sight.absorbing else None
         self.env_steps = 0
 
@@ -141,12 +153,12 @@ class GridSource:
     def take(self, episodes: int) -> Steps:
         """So many episodes of HORIZON steps."""
         goal = self._rng.choice(self._goals, size=episodes)
-        states, actions = [draw_starts(self._world, episodes, self._rng)], []
+        states, actions = [draw_starts(self.world, episodes, self._rng)], []
         for _ in range(HORIZON):
             pi = self._net.log_policy(self._sight.wide(states[-1], goal)).exp().numpy()
             below = np.cumsum(pi, axis=1)[:, :-1] <= self._rng.random((episodes, 1))
             actions.append(below.sum(axis=1))
-            states.append(step(self._world, states[-1], actions[-1], self._rng))
+            states.append(step(self.world, states[-1], actions[-1], self._rng))
         self.env_steps += episodes * HORIZON
         paths = Paths(states=np.stack(states, axis=1), actions=np.stack(actions, axis=1))
         return Steps.of(paths, goal, self._end)

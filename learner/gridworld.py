@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,7 +16,9 @@ from giirl.config import Config, DiscriminatorConfig
 from giirl.gridcraft import HORIZON, World
 from giirl.gridcraft_instructions import Pair, plain_sentence, sentences
 from giirl.language import BagOfWords
+from giirl.parameters import load_net, load_optimiser, seal_net, seal_optimiser
 from giirl.reward import reward_of
+from giirl.spec import Weights
 from learner.grid_nets import PotentialNet, QNet, RewardNet, Sight, one_hot
 from learner.grid_steps import NOTHING, GridDemos, Index, Steps, chance_steps, expert_steps
 from learner.losses import gradient_penalty, logistic_loss
@@ -36,7 +41,7 @@ class GridDiscriminator:
             lr=self.config.learning_rate,
             weight_decay=self.config.weight_decay,
         )
-        self._old = NOTHING
+        self.old = NOTHING
 
     def update(self, expert: Steps, rollouts: Steps, policy: QNet) -> dict[str, float]:
         """Train on fresh draws from each source; returns the loss and the share of each source judged rightly."""
@@ -44,8 +49,8 @@ class GridDiscriminator:
         for _ in range(self.config.updates):
             stats = self._descend(self._sources(expert, rollouts, policy), policy)
         kept = self.config.replay_size * HORIZON
-        self._old = Steps.join([self._old, rollouts])
-        self._old = self._old.pick(np.arange(max(len(self._old) - kept, 0), len(self._old)))
+        self.old = Steps.join([self.old, rollouts])
+        self.old = self.old.pick(np.arange(max(len(self.old) - kept, 0), len(self.old)))
         return stats
 
     def rewards(self, rollouts: Steps, version: int) -> Tensor:
@@ -64,7 +69,7 @@ class GridDiscriminator:
         sources = {
             EXPERT: (1.0, shown),
             "rollouts": (config.rollouts, new),
-            "replay": (config.replay, self._old.draw(config.batch, rng) if config.replay else NOTHING),
+            "replay": (config.replay, self.old.draw(config.batch, rng) if config.replay else NOTHING),
             "demo_states": (config.demo_states, self._act(shown, policy) if config.demo_states else NOTHING),
             "chance": (config.chance, self._chance.draw(config.batch, rng)),
             "wrong_goal": (config.wrong_goal, self._demos.wrong_goals(shown) if config.wrong_goal else NOTHING),
@@ -117,13 +122,13 @@ class SoftQ:
         self.target = QNet(sight.far_width, 2 * config.net.width, self.config.entropy, self.scale)
         self.target.load_state_dict(self.net.state_dict())
         self.optimiser = torch.optim.Adam(self.net.parameters(), lr=self.config.learning_rate, fused=True)
-        self._chance, self._old = chance, NOTHING
+        self._chance, self.old = chance, NOTHING
 
     def update(self, rollouts: Steps, rewards: Tensor, ask: Ask) -> dict[str, float]:
         """Steps of gradient descent on the soft Bellman error. `ask` tells the rewards of older steps today."""
         batch, updates, rng = self._grid.batch, self.config.updates, self._rng
-        self._old = Steps.join([self._old, rollouts])
-        drawn = Steps.join([self._old.draw(updates * batch // 2, rng), self._chance.draw(updates * batch // 2, rng)])
+        self.old = Steps.join([self.old, rollouts])
+        drawn = Steps.join([self.old.draw(updates * batch // 2, rng), self._chance.draw(updates * batch // 2, rng)])
         order = rng.permutation(len(drawn))
         drawn = drawn.pick(order)
         told = ask(drawn) / self.scale
@@ -181,6 +186,7 @@ class GridLearner:
     def __init__(self, config: Config, world: World, pairs: Sequence[Pair]) -> None:
         torch.manual_seed(config.seed)
         self.accuracy = 1.0  # of the discriminator on the newest rollouts
+        self.version = 0  # steps done
         self.config, self.pairs, self.rng = config, tuple(pairs), np.random.default_rng([config.seed, 0])
         grid = config.grid
         said = [(plain_sentence(p),) if grid.sentences == "plain" else sentences(p) for p in pairs]
@@ -230,3 +236,32 @@ class GridLearner:
             "policy": self.policy.net,
             "cloning": self.cloner.net,
         }
+
+    def save(self, folder: Path) -> None:
+        """Write everything that the next step depends on, and the seed does not tell, into an empty folder."""
+        for name, net in self._saved_nets().items():
+            (folder / f"{name}.safetensors").write_bytes(seal_net(net, self.version).blob)
+        for name, part in self._parts().items():
+            (folder / f"{name}_optimiser.safetensors").write_bytes(seal_optimiser(part.optimiser))
+        (folder / "reward_replay.safetensors").write_bytes(self.discriminator.old.seal())
+        (folder / "policy_replay.safetensors").write_bytes(self.policy.old.seal())
+        state = {"version": self.version, "accuracy": self.accuracy, "draw": self.rng.bit_generator.state}
+        (folder / "learner.json").write_text(json.dumps(state, indent=2))
+
+    def load(self, folder: Path) -> None:
+        """The inverse of `save`; ValueError when the checkpoint is of other nets."""
+        state: dict[str, Any] = json.loads((folder / "learner.json").read_text())
+        for name, net in self._saved_nets().items():
+            load_net(net, Weights.seal(state["version"], (folder / f"{name}.safetensors").read_bytes()))
+        for name, part in self._parts().items():
+            load_optimiser(part.optimiser, (folder / f"{name}_optimiser.safetensors").read_bytes())
+        self.discriminator.old = Steps.unseal((folder / "reward_replay.safetensors").read_bytes())
+        self.policy.old = Steps.unseal((folder / "policy_replay.safetensors").read_bytes())
+        self.rng.bit_generator.state = state["draw"]
+        self.version, self.accuracy = state["version"], state["accuracy"]
+
+    def _saved_nets(self) -> dict[str, nn.Module]:
+        return {**self.nets(), "target": self.policy.target}
+
+    def _parts(self) -> dict[str, GridDiscriminator | SoftQ | GridCloner]:
+        return {"reward": self.discriminator, "policy": self.policy, "cloning": self.cloner}

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 
 from giirl import grid_settings, run_reproduce
 from giirl.cli import giirl
@@ -15,8 +17,10 @@ from giirl.config import Config, GridConfig, load_config
 from giirl.figures import Panel, draw_maps, draw_returns
 from giirl.gridcraft_instructions import Pair
 from giirl.gridcraft_layouts import named_layout
-from giirl.run_grid import layouts_of, pairs_of
+from giirl.parameters import hash_nets
+from giirl.run_grid import go_on, layouts_of, open_run, pairs_of
 from giirl.run_grid_measures import Measures, means
+from giirl.stopping import Stopped
 
 ROOT = Path(__file__).parents[2]
 EXPERIMENT = ROOT / "experiments" / "gridcraft.toml"
@@ -127,3 +131,56 @@ def test_the_figures_are_drawn_into_folders_that_are_not_there_yet(tmp_path: Pat
     draw_returns(tmp_path / "b" / "returns.png", np.array([1, 2, 3]), curves)
     assert (tmp_path / "a" / "maps.png").read_bytes().startswith(PNG)
     assert (tmp_path / "b" / "returns.png").read_bytes().startswith(PNG)
+
+
+def invoke(*words: str) -> Result:
+    return CliRunner().invoke(giirl, list(words), catch_exceptions=False)
+
+
+def test_a_run_that_goes_on_from_a_checkpoint_ends_as_if_it_had_never_stopped(tmp_path: Path) -> None:
+    whole, parted = tmp_path / "whole", tmp_path / "parted"
+    settings = [str(EXPERIMENT), *QUICK, "iterations=4", "checkpoint_every=2", "grid.measure_every=1"]
+    for run in (whole, parted):
+        assert invoke("train", *settings, f"run={run}").exit_code == 0
+    (parted / "checkpoints/latest").write_text("step-00000002")
+    (parted / "result.json").unlink()
+    assert invoke("train", "--resume", str(parted)).exit_code == 0
+    one, two = (json.loads((run / "result.json").read_text()) for run in (whole, parted))
+    for result in (one, two):
+        del result["seconds"], result["cpu_seconds"]
+    assert one == two
+    assert (whole / "curve.jsonl").read_text() == (parted / "curve.jsonl").read_text()
+
+
+@pytest.mark.parametrize("lost", ["reward_replay", "policy_replay", "target", "policy_optimiser", "reward_optimiser"])
+def test_nothing_in_a_grid_checkpoint_could_be_left_out(lost: str, tmp_path: Path) -> None:
+    config = small()
+    fresh, run = open_run(config), open_run(config)
+    go_on(config, run, lambda: None)
+    for name, one in (("fresh", fresh), ("run", run), ("mixed", run)):
+        (tmp_path / name).mkdir()
+        one.save(tmp_path / name)
+    (tmp_path / "fresh" / f"{lost}.safetensors").replace(tmp_path / "mixed" / f"{lost}.safetensors")
+    longer = dataclasses.replace(config, iterations=4)
+    hashes = []
+    for name in ("run", "mixed"):
+        again = open_run(longer, tmp_path / name)
+        go_on(longer, again, lambda: None)
+        hashes.append(hash_nets(*again.learner.nets().values()))
+    assert hashes[0] != hashes[1]
+
+
+def test_a_run_that_is_stopped_saves_and_a_finished_one_can_be_evaluated_again(tmp_path: Path) -> None:
+    config, stop = small(), Event()
+    run = open_run(config)
+    with pytest.raises(Stopped):
+        go_on(config, run, stop.set, stop)
+    assert run.learner.version == 1
+    path = tmp_path / "run"
+    assert invoke("train", str(EXPERIMENT), f"run={path}", *QUICK).exit_code == 0
+    numbers = tmp_path / "again.json"
+    assert invoke("evaluate", str(path), "--json", str(numbers)).exit_code == 0
+    first, again = (json.loads(file.read_text()) for file in (path / "result.json", numbers))
+    assert again["goals"] == first["goals"]
+    with pytest.raises(ValueError, match="which has no pages"):
+        invoke("reward", "toggle", str(path))
