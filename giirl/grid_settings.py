@@ -31,6 +31,7 @@ def thesis(seed: int = 0) -> Config:
             demo_states=0.0,
             chance=1.0,
             wrong_goal=2.0,
+            rename=0.0,
         ),
         policy=PolicyConfig(updates=12, gamma=0.95, entropy=0.05, learning_rate=3e-3),
         cloning=CloningConfig(batch=8),

@@ -124,6 +124,8 @@ class GridDemos:
         self.steps, self._length, self._rng = steps, length, rng
         self._others = {m: goals[meaning[goals] != m] for m in set(meaning[goals].tolist())}
         self._meaning = meaning
+        self._stood = np.zeros((meaning.max() + 1, max(steps.state.max(), steps.following.max()) + 1), dtype=np.bool_)
+        self._stood[meaning[steps.goal], steps.state] = True  # [meaning, S] where experts were seen
 
     def sample(self, count: int) -> Steps:
         """So many episodes, with repetition."""
@@ -131,14 +133,17 @@ class GridDemos:
         return self.steps.pick((episodes[:, None] * self._length + np.arange(self._length)).ravel())
 
     def wrong_goals(self, expert: Steps) -> Steps:
-        """Each step under a sentence of another meaning, drawn anew; none where there is only one meaning."""
+        """Each step under a sentence of another meaning, drawn anew; but none where experts of that sentence were seen.
+
+        Being there is not wrong. What is left says where to go and, of two sentences with one goal, what to avoid.
+        """
         if len(self._others) < 2:
             return NOTHING
         goal = np.zeros_like(expert.goal)
         for meaning, others in self._others.items():
             own = self._meaning[expert.goal] == meaning
             goal[own] = self._rng.choice(others, size=int(own.sum()))
-        return expert.under(goal)
+        return expert.under(goal).pick(np.flatnonzero(~self._stood[self._meaning[goal], expert.state]))
 
 
 class GridSource:

@@ -86,7 +86,7 @@ class GridDiscriminator:
     def _descend(self, sources: dict[str, tuple[float, Steps]], policy: QNet) -> dict[str, float]:
         config = self.config
         steps = Steps.join([steps for _, steps in sources.values()])
-        inputs = [self._sight(steps.state, steps.goal), one_hot(steps.action)]
+        inputs = [self._see(steps), one_hot(steps.action)]
         for tensor in inputs:
             tensor.requires_grad_(config.gradient_penalty > 0)
         logits = self.net(*inputs)
@@ -100,6 +100,16 @@ class GridDiscriminator:
         self.optimiser.step()
         right = {name: (part > 0 if name == EXPERT else part < 0).float().mean() for name, part in parts.items()}
         return {"d_loss": loss.item(), **{f"d_accuracy_{name}": share.item() for name, share in right.items()}}
+
+    def _see(self, steps: Steps) -> Tensor:
+        """[N, F + V], a share of `rename` with the names of the colours swapped, in sight and sentence alike."""
+        if not self.config.rename:
+            return self._sight(steps.state, steps.goal)
+        states, goals = self._sight.renamings
+        swapped = self._rng.random(len(steps)) < self.config.rename
+        names = torch.from_numpy(np.where(swapped, self._rng.integers(len(states), size=len(steps)), 0))
+        state, goal = torch.from_numpy(steps.state), torch.from_numpy(steps.goal)
+        return torch.cat([states[names, state], goals[names, goal]], dim=1)
 
     def _shaping(self, steps: Steps, seen: Tensor, policy: QNet) -> Tensor:
         """gamma h(s') - h(s) - log pi(a | s), what AIRL (Fu, Luo and Levine 2018) adds to r(s, a)."""
@@ -115,8 +125,9 @@ class GridDiscriminator:
 class SoftQ:
     """Soft Q-learning (Haarnoja et al. 2017) with a target net, from new steps, old ones and chance's."""
 
-    def __init__(self, config: Config, sight: Sight, chance: Steps, rng: np.random.Generator) -> None:
+    def __init__(self, config: Config, sight: Sight, goals: Index, chance: Steps, rng: np.random.Generator) -> None:
         self.config, self._grid, self._sight, self._rng = config.policy, config.grid, sight, rng
+        self._goals = goals  # [G] the sentences that training may see
         self.scale = config.discriminator.clip
         self.net = QNet(sight.far_width, 2 * config.net.width, self.config.entropy, self.scale)
         self.target = QNet(sight.far_width, 2 * config.net.width, self.config.entropy, self.scale)
@@ -125,12 +136,15 @@ class SoftQ:
         self._chance, self.old = chance, NOTHING
 
     def update(self, rollouts: Steps, rewards: Tensor, ask: Ask) -> dict[str, float]:
-        """Steps of gradient descent on the soft Bellman error. `ask` tells the rewards of older steps today."""
+        """Steps of gradient descent on the soft Bellman error, on steps old and new.
+
+        Each is learned from under any of the sentences, whichever it was played under (hindsight relabelling,
+        Andrychowicz et al. 2017): `ask` tells what it would have earned, and today.
+        """
         batch, updates, rng = self._grid.batch, self.config.updates, self._rng
         self.old = Steps.join([self.old, rollouts])
         drawn = Steps.join([self.old.draw(updates * batch // 2, rng), self._chance.draw(updates * batch // 2, rng)])
-        order = rng.permutation(len(drawn))
-        drawn = drawn.pick(order)
+        drawn = drawn.pick(rng.permutation(len(drawn))).under(rng.choice(self._goals, size=len(drawn)))
         told = ask(drawn) / self.scale
         wide = self._sight.wide
         seen, after = wide(drawn.state, drawn.goal), wide(drawn.following, drawn.goal)
@@ -203,7 +217,7 @@ class GridLearner:
         self.chance_env_steps = grid.chance_episodes * HORIZON
         self.demos = GridDemos(shown, HORIZON + (end is not None), self.meaning, self.goals, self.rng)
         self.discriminator = GridDiscriminator(config, self.sight, self.demos, chance, self.rng)
-        self.policy = SoftQ(config, self.sight, chance, self.rng)
+        self.policy = SoftQ(config, self.sight, self.goals, chance, self.rng)
         self.cloner = GridCloner(config, self.sight)
 
     def study(self, episodes: Steps) -> Steps:
