@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from giirl import grid_settings, run_reproduce
+from giirl import grid_settings, run_ablations, run_joint, run_reproduce
 from giirl.cli import giirl
 from giirl.config import Config, GridConfig, load_config
 from giirl.figures import Panel, draw_maps, draw_returns
@@ -26,6 +26,10 @@ ROOT = Path(__file__).parents[2]
 EXPERIMENT = ROOT / "experiments" / "gridcraft.toml"
 PNG = b"\x89PNG\r\n"
 QUICK = ["iterations=2", "rollout_batch=2", "discriminator.updates=1", "policy.updates=2", "grid.chance_episodes=5"]
+
+
+def invoke(*words: str) -> Result:
+    return CliRunner().invoke(giirl, list(words), catch_exceptions=False)
 
 
 def test_the_experiment_trains_without_a_browser_and_leaves_numbers_and_a_figure(tmp_path: Path) -> None:
@@ -63,29 +67,50 @@ def test_a_study_writes_its_numbers_and_its_figure(study: str, tmp_path: Path, m
 def test_the_joint_study_writes_what_carries_over_and_what_does_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def tiny(seed: int = 0, colours: str = '["red", "green", "blue"]') -> Config:
-        grid = ["grid.random_layouts=1", "grid.layouts=[]", f"grid.colours={colours}", "grid.demonstrations=2"]
-        return load_config(EXPERIMENT, [f"seed={seed}", *QUICK, *grid])
+    def tiny(seed: int = 0, held_out: str = "[]", colours: str = '["red", "green", "blue"]') -> Config:
+        grid = ["grid.random_layouts=1", "grid.layouts=[]", "grid.demonstrations=2", f"grid.held_out={held_out}"]
+        return load_config(EXPERIMENT, [f"seed={seed}", *QUICK, *grid, f"grid.colours={colours}"])
 
-    monkeypatch.setattr(run_reproduce, "thesis", small)
-    monkeypatch.setattr(run_reproduce, "joint", tiny)
-    monkeypatch.setattr(run_reproduce, "few", lambda seed, demonstrations: tiny(seed))
+    monkeypatch.setattr(run_ablations, "thesis", small)
+    monkeypatch.setattr(run_ablations, "FRESH_ITERATIONS", 1)
+    monkeypatch.setattr(run_joint, "joint", tiny)
+    monkeypatch.setattr(run_joint, "few", lambda seed, demonstrations: tiny(seed))
     four = '["red", "green", "blue", "yellow"]'
-    monkeypatch.setattr(run_reproduce, "held_out_pairs", lambda seed: tiny(seed, four))
-    monkeypatch.setattr(run_reproduce, "DEMONSTRATIONS", (1,))
-    monkeypatch.setattr(run_reproduce, "FRESH_ITERATIONS", 1)
-    monkeypatch.setattr(run_reproduce, "CLONING_UPDATES", 2)
+    monkeypatch.setattr(run_joint, "held_out_pairs", lambda seed: tiny(seed, '["red-green"]', four))
+    monkeypatch.setattr(run_joint, "held_out_of_three", lambda seed, rename: tiny(seed, '["red-green"]'))
+    monkeypatch.setattr(run_joint, "FEW", (1,))
+    monkeypatch.setattr(run_joint, "CLONING_UPDATES", 2)
     numbers = tmp_path / "numbers.json"
     command = ["reproduce", "gridcraft-joint", "--json", str(numbers), "--out", str(tmp_path), "--seeds", "1"]
-    done = CliRunner().invoke(giirl, command, catch_exceptions=False)
+    assert invoke(*command).exit_code == 0
+    result = json.loads(numbers.read_text())
+    for part in (result["unseen_layouts"], result["unseen_pairs"], result["unseen_pairs_of_three"]["plain"]):
+        assert {"reward_reoptimised", "policy", "cloning"} <= set(part)
+    assert {"ranked_below_neutral", "entered", "expert_entered"} <= set(result["avoid"])
+    assert set(result["demonstrations"]) == {"1", "2"}
+    assert result["steps_to_optimal"]["learned"] == [None]
+    assert result["steps_to_optimal"]["sparse"] == [[None] * 3]
+    assert (tmp_path / "gridcraft-joint.png").read_bytes().startswith(PNG)
+
+
+def test_the_ablations_are_a_row_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_ablations, "thesis", small)
+    monkeypatch.setattr(grid_settings, "thesis", small)
+    monkeypatch.setattr(run_ablations, "FRESH_ITERATIONS", 1)
+    rows = {name: grid_settings.ABLATIONS[name] for name in ("as reported", "plain Algorithm 1", "single words")}
+    monkeypatch.setattr(run_ablations, "ABLATIONS", rows)
+    numbers = tmp_path / "numbers.json"
+    done = invoke("reproduce", "gridcraft-ablations", "--json", str(numbers), "--seeds", "1")
     assert done.exit_code == 0
     result = json.loads(numbers.read_text())
-    for part in ("unseen_layouts", "unseen_pairs"):
-        assert set(result[part]) == {"reward_reoptimised", "policy", "cloning"}
-    assert {"ranked_below_neutral", "entered", "expert_entered"} <= set(result["avoid"])
-    assert set(result["demonstrations"]) == {"1"}
-    assert result["steps_to_optimal"]["learned"] == [None]
-    assert (tmp_path / "gridcraft-joint.png").read_bytes().startswith(PNG)
+    assert set(result["ablations"]) == set(rows)
+    assert len({row["epic"] for row in result["ablations"].values()}) == len(rows)
+    assert "plain Algorithm 1" in done.output
+
+
+@pytest.mark.parametrize("name", grid_settings.ABLATIONS)
+def test_every_ablation_changes_the_settings_but_the_first(name: str) -> None:
+    assert (grid_settings.ablated(3, name) == grid_settings.thesis(3)) == (name == "as reported")
 
 
 def test_held_out_pairs_are_left_to_the_end_and_named_layouts_come_first() -> None:
@@ -131,10 +156,6 @@ def test_the_figures_are_drawn_into_folders_that_are_not_there_yet(tmp_path: Pat
     draw_returns(tmp_path / "b" / "returns.png", np.array([1, 2, 3]), curves)
     assert (tmp_path / "a" / "maps.png").read_bytes().startswith(PNG)
     assert (tmp_path / "b" / "returns.png").read_bytes().startswith(PNG)
-
-
-def invoke(*words: str) -> Result:
-    return CliRunner().invoke(giirl, list(words), catch_exceptions=False)
 
 
 def test_a_run_that_goes_on_from_a_checkpoint_ends_as_if_it_had_never_stopped(tmp_path: Path) -> None:
