@@ -210,6 +210,7 @@ def summary(found: Sequence[Measures]) -> dict[str, Any]:
         "epic": mean["epic"],
         "spearman": mean["spearman"],
         "pearson": mean["pearson"],
+        "goal_sensitivity": mean["sensitivity"],
         "avoid": {
             "ranked_below_neutral": mean["avoid_rank"],
             "ranked_below_neutral_as_far_from_the_goal": mean["matched_avoid_rank"],

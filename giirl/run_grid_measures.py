@@ -12,12 +12,13 @@ from giirl.config import Config
 from giirl.gridcraft import World, build_world, true_reward
 from giirl.gridcraft_instructions import Pair, plain_sentence
 from giirl.gridcraft_layouts import Layout
-from giirl.oracle import fraction, solve
+from giirl.oracle import fraction, solve, visits
 from giirl.reward_measures import (
     avoid_rank,
     entering_rate,
     epic_distance,
     matched_avoid_rank,
+    paired_goal_sensitivity,
     reoptimise,
     state_mean,
     value_correlation,
@@ -39,6 +40,9 @@ class Measures:
     epic: float
     avoid_rank: float  # the chance that an avoided cell scores below a neutral one
     matched_avoid_rank: float  # the same among cells equally far from the goal
+    sensitivity: (
+        float  # the share of the expert's steps that earn more than under the sentence with its colours swapped
+    )
     entered: float  # share of episodes in which the re-optimised agent enters the avoided colour
     expert_entered: float
 
@@ -83,6 +87,8 @@ def _measure(config: Config, learner: GridLearner, world: World, pair: Pair) -> 
     agent, score = reoptimise(world, tables.reward), state_mean(tables.reward)
     expert = solve(world, true, temperature=config.grid.expert_temperature).pi
     correlation = value_correlation(world, tables.reward, true)
+    swapped = learned_tables(config, learner, world, Pair(pair.avoid, pair.goal)).reward
+    steps = visits(world, expert).sum(axis=0)[:, None] * expert
     return Measures(
         pair=pair,
         policy=fraction(world, tables.policy, true),
@@ -93,6 +99,7 @@ def _measure(config: Config, learner: GridLearner, world: World, pair: Pair) -> 
         epic=epic_distance(tables.reward, true),
         avoid_rank=avoid_rank(world, score, pair),
         matched_avoid_rank=matched_avoid_rank(world, score, pair),
+        sensitivity=paired_goal_sensitivity(tables.reward, swapped, steps),
         entered=entering_rate(world, agent, pair),
         expert_entered=entering_rate(world, expert, pair),
     )

@@ -40,6 +40,7 @@ class GridDiscriminator:
             [*self.net.parameters(), *self.potential.parameters()],
             lr=self.config.learning_rate,
             weight_decay=self.config.weight_decay,
+            fused=True,
         )
         self.old = NOTHING
 

@@ -148,6 +148,8 @@ def test_goal_sensitivity_is_one_for_a_reward_that_reads_and_half_for_one_that_d
     others = np.stack([right - 0.01, right + 0.01, right], axis=1)
     assert paired_goal_sensitivity(right, others) == pytest.approx((1 + 0 + 0.5) / 3)
     assert paired_goal_sensitivity(right, right - 0.01) == 1
+    table, other = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[0.0, 2.0], [5.0, 9.0]])
+    assert paired_goal_sensitivity(table, other, np.array([[3.0, 2.0], [1.0, 0.0]])) == pytest.approx((3 + 2 / 2) / 6)
     assert goal_sensitivity(right, right - 0.01) < 0.52
 
 
