@@ -5,13 +5,16 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from threading import Event
 from typing import Any, Protocol
 
+import numpy as np
 import torch
 
 from giirl.config import Config
+from giirl.goals import is_held_out
 from giirl.metrics import Metrics, write_targets
 from giirl.progress import Display, Job
 from giirl.run_demos import gather
@@ -21,10 +24,11 @@ from giirl.run_serial import SerialRuntime
 from giirl.spec import Episode, Trajectory, Weights
 from giirl.statistics import lowest_window
 from giirl.stopping import Stopped, raise_if, stopping
-from learner.checkpoint import save_checkpoint
-from learner.giirl import ALGORITHMS
+from learner.algorithms import ALGORITHMS
+from learner.checkpoint import latest_checkpoint, save_checkpoint
 from learner.learner import Learner
 
+REWARDING = ("giirl", "frozen")  # algorithms that end with a learned reward
 WINDOW = 100  # training episodes in a row, for the lowest success of a run's last third
 
 
@@ -57,6 +61,8 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
         learner = Learner(config, demonstrations, metrics)
         if resume is not None:
             learner.load(resume)
+        elif config.algorithm == "frozen":
+            learner.take_reward(reward_of_run(Path(config.reward_from)))
         else:
             learner.cloning_start()
         session = Session(config, folder, learner, metrics, stop, own, display)
@@ -139,11 +145,14 @@ class Session:
     def take(self, episodes: int) -> list[Trajectory]:
         """Rollouts for Algorithm 1. Their outcomes stay here, for the report."""
         assert self._runtime is not None
-        taken = self._runtime.take(episodes)
-        if not taken:
-            raise Stopped
-        self._fresh = taken
-        return [episode.trajectory for episode in taken]
+        self._fresh = []
+        while len(self._fresh) < episodes:
+            taken = self._runtime.take(episodes - len(self._fresh))
+            if not taken:
+                raise Stopped
+            self._fresh += [e for e in taken if not is_held_out(e.trajectory.goal, self._config.held_out_goals)]
+        told = self._config.algorithm == "true_reward"
+        return [pay_true(episode) if told else episode.trajectory for episode in self._fresh]
 
     def lowest_last_third(self) -> dict[str, float | None]:
         """Per task, the lowest success over WINDOW sampled episodes in a row in the last third of training."""
@@ -208,6 +217,21 @@ class Session:
             for name in targets.keys() - self._targets.keys():
                 self._display.say(f"metrics of {name}: http://{targets[name]}/metrics")
             self._targets = targets
+
+
+def reward_of_run(path: Path) -> Weights:
+    """The reward that an earlier run learned; ValueError when it learned none."""
+    folder, config = RunFolder.open(path)
+    if config.algorithm not in REWARDING:
+        raise ValueError(f"{path} learned no reward: its algorithm is {config.algorithm!r}, wanted {REWARDING[0]!r}")
+    return folder.weights(latest_checkpoint(folder.checkpoints), "reward")
+
+
+def pay_true(episode: Episode) -> Trajectory:
+    """The trajectory with the page's own sparse reward: the baseline that is told what the others have to learn."""
+    rewards = np.zeros(len(episode.trajectory), dtype=np.float32)
+    rewards[-1] = episode.outcome.raw_reward
+    return replace(episode.trajectory, rewards=rewards)
 
 
 def open_runtime(config: Config, metrics: Metrics, run: str, stop: Event, resume: Path | None) -> Runtime:

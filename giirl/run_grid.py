@@ -25,12 +25,17 @@ from giirl.reward_measures import state_mean
 from giirl.run_folder import RunFolder
 from giirl.run_grid_measures import Measures, learned_tables, means, measure, policy_fractions
 from giirl.stopping import Stopped, raise_if, stopping
+from learner.algorithms import clone
 from learner.checkpoint import save_checkpoint
-from learner.giirl import ALGORITHMS
+from learner.giirl import Observe, giirl
 from learner.grid_steps import GridSource
 from learner.gridworld import GridLearner
 
 PROGRESS = "grid.json"
+LOOPS: dict[str, Callable[[Config, GridLearner, GridSource, Iterator[int], Observe], None]] = {
+    "giirl": giirl,
+    "cloning": clone,
+}
 LATE = 2 / 3  # of a run: from here on the policy may not get worse again
 
 
@@ -100,6 +105,8 @@ def read_pair(text: str) -> Pair:
 
 def open_run(config: Config, checkpoint: Path | None = None) -> GridRun:
     """A run at its first step, or where a checkpoint left it."""
+    if config.algorithm not in LOOPS:
+        raise ValueError(f"algorithm is {config.algorithm!r}, wanted one that the grid has: {' or '.join(LOOPS)}")
     torch.set_num_threads(1)  # the nets are small: more threads only wait for each other
     since_s = time.process_time()
     world = build_world(layouts_of(config.grid))
@@ -141,7 +148,7 @@ def go_on(config: Config, run: GridRun, after_step: Callable[[], None], stop: Ev
         after_step()
         began_s = time.process_time()
 
-    ALGORITHMS[config.algorithm](config, learner, run.source, steps(), observe)
+    LOOPS[config.algorithm](config, learner, run.source, steps(), observe)
 
 
 def train_grid(config: Config, folder: RunFolder, resume: Path | None, display: Display) -> dict[str, Any]:

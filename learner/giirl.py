@@ -9,12 +9,10 @@ actors --- tau_pi, g_pi ---> D: expert or policy? --- r(s, a | g) ---> pi: maxim
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import TypeVar
 
 from giirl.config import Config
-from learner.parts import Ask, Learning, Net, Read, Rewards, Source, Stats
+from learner.parts import Ask, Learning, Net, Played, Read, Rewards, Source, Stats
 
-Played = TypeVar("Played")
 Observe = Callable[[int, Stats], None]
 
 
@@ -34,19 +32,3 @@ def giirl(
         rewards = discriminator.rewards(rollouts, version=step + 1)  # r(s, a | g) = log D - log(1 - D)
         p = policy.update(rollouts, rewards, discriminator.ask)  # policy optimisation (eq. 3.1)
         observe(step, {**d, **p})
-
-
-def clone(
-    config: Config,
-    learner: Learning[Played, Read, Net, Rewards, Ask],
-    source: Source[Played],
-    steps: Iterable[int],
-    observe: Observe,
-) -> None:
-    """Behavioural cloning on the same net and demonstrations; rollouts are only watched."""
-    for step in steps:
-        source.take(config.rollout_batch)
-        observe(step, learner.cloner.update(learner.demos.sample(config.cloning.batch)))
-
-
-ALGORITHMS = {"giirl": giirl, "cloning": clone}

@@ -123,7 +123,7 @@ class GridDiscriminator:
         return difference
 
 
-class SoftQ:
+class GridSoftQ:
     """Soft Q-learning (Haarnoja et al. 2017) with a target net, from new steps, old ones and chance's."""
 
     def __init__(self, config: Config, sight: Sight, goals: Index, chance: Steps, rng: np.random.Generator) -> None:
@@ -218,7 +218,7 @@ class GridLearner:
         self.chance_env_steps = grid.chance_episodes * HORIZON
         self.demos = GridDemos(shown, HORIZON + (end is not None), self.meaning, self.goals, self.rng)
         self.discriminator = GridDiscriminator(config, self.sight, self.demos, chance, self.rng)
-        self.policy = SoftQ(config, self.sight, self.goals, chance, self.rng)
+        self.policy = GridSoftQ(config, self.sight, self.goals, chance, self.rng)
         self.cloner = GridCloner(config, self.sight)
 
     def study(self, episodes: Steps) -> Steps:
@@ -278,5 +278,5 @@ class GridLearner:
     def _saved_nets(self) -> dict[str, nn.Module]:
         return {**self.nets(), "target": self.policy.target}
 
-    def _parts(self) -> dict[str, GridDiscriminator | SoftQ | GridCloner]:
+    def _parts(self) -> dict[str, GridDiscriminator | GridSoftQ | GridCloner]:
         return {"reward": self.discriminator, "policy": self.policy, "cloning": self.cloner}

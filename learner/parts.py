@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Protocol, TypeVar
 
+Played = TypeVar("Played")
 Played_co = TypeVar("Played_co", covariant=True)
 Played_contra = TypeVar("Played_contra", contravariant=True)
 Read = TypeVar("Read")
@@ -58,14 +59,8 @@ class PolicyLearner(Protocol[Read_contra, Net_co, Rewards_contra, Ask_contra]):
     def update(self, rollouts: Read_contra, rewards: Rewards_contra, ask: Ask_contra, /) -> Stats: ...
 
 
-class CloningLearner(Protocol[Read_contra]):
-    """pi_theta again, learning from demonstrations alone."""
-
-    def update(self, expert: Read_contra, /) -> Stats: ...
-
-
 class Learning(Protocol[Played_contra, Read, Net, Rewards, Ask]):
-    """All of them."""
+    """All that Algorithm 1 needs."""
 
     @property
     def demos(self) -> Demos[Read]: ...
@@ -76,7 +71,35 @@ class Learning(Protocol[Played_contra, Read, Net, Rewards, Ask]):
     @property
     def policy(self) -> PolicyLearner[Read, Net, Rewards, Ask]: ...
 
+    def study(self, episodes: Played_contra, /) -> Read: ...
+
+
+class CloningLearner(Protocol[Read_contra]):
+    """pi_theta again, learning from demonstrations alone."""
+
+    def update(self, expert: Read_contra, /) -> Stats: ...
+
+
+class QLearner(Protocol[Read_contra]):
+    """pi_theta again, learning from demonstrations and rollouts without a reward in between."""
+
+    def update(self, expert: Read_contra, rollouts: Read_contra, /) -> Stats: ...
+
+
+class Cloning(Learning[Played_contra, Read, Net, Rewards, Ask], Protocol[Played_contra, Read, Net, Rewards, Ask]):
+    """A learner that can also do without a reward."""
+
     @property
     def cloner(self) -> CloningLearner[Read]: ...
 
-    def study(self, episodes: Played_contra, /) -> Read: ...
+
+class Comparable(Cloning[Played_contra, Read, Net, Rewards, Ask], Protocol[Played_contra, Read, Net, Rewards, Ask]):
+    """One that can do all that its own is compared with."""
+
+    @property
+    def policy(self) -> PolicyLearner[Read, Net, Rewards, Ask | None]: ...
+
+    @property
+    def soft_q(self) -> QLearner[Read]: ...
+
+    def told(self, rollouts: Read, /) -> Rewards: ...
