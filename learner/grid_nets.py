@@ -76,14 +76,17 @@ class Sight:
 
 
 def _maps(world: World) -> NDArray[np.float32]:
-    """[S, H * W * 5] the layout that each state lies in, cell by cell as one of the colours or a wall."""
+    """[S, H * W * 5 + H + W] the layout of each state, cell by cell as a colour or a wall, then its row and column."""
     shapes = {layout.cells.shape for layout in world.layouts}
     if len(shapes) > 1:
         raise ValueError(f"grid.whole_map got layouts of the sizes {sorted(shapes)}, wanted one size for all")
     cells = np.stack([layout.cells for layout in world.layouts])
     planes = cells[..., None] == np.array([WALL, *range(1, len(COLOURS) + 1)])
-    maps: NDArray[np.float32] = planes.reshape(len(cells), -1).astype(np.float32)
-    return maps[world.layout]
+    maps = planes.reshape(len(cells), -1)[world.layout]
+    height, width = cells.shape[1:]
+    row, column = np.eye(height)[world.position[:, 0]], np.eye(width)[world.position[:, 1]]
+    seen: NDArray[np.float32] = np.concatenate([maps, row, column], axis=1).astype(np.float32)
+    return seen
 
 
 class RewardNet(nn.Module):

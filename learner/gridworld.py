@@ -124,16 +124,19 @@ class GridDiscriminator:
 
 
 class GridSoftQ:
-    """Soft Q-learning (Haarnoja et al. 2017) with a target net, from new steps, old ones and chance's."""
+    """Soft Q-learning (Haarnoja et al. 2017) from new steps, old ones and chance's.
+
+    `net`, the moving average of `q`, is the target net, and the policy that acts: it does not follow every gradient.
+    """
 
     def __init__(self, config: Config, sight: Sight, goals: Index, chance: Steps, rng: np.random.Generator) -> None:
         self.config, self._grid, self._sight, self._rng = config.policy, config.grid, sight, rng
         self._goals = goals  # [G] the sentences that training may see
         self.scale = config.discriminator.clip
+        self.q = QNet(sight.far_width, 2 * config.net.width, self.config.entropy, self.scale)
         self.net = QNet(sight.far_width, 2 * config.net.width, self.config.entropy, self.scale)
-        self.target = QNet(sight.far_width, 2 * config.net.width, self.config.entropy, self.scale)
-        self.target.load_state_dict(self.net.state_dict())
-        self.optimiser = torch.optim.Adam(self.net.parameters(), lr=self.config.learning_rate, fused=True)
+        self.net.load_state_dict(self.q.state_dict())
+        self.optimiser = torch.optim.Adam(self.q.parameters(), lr=self.config.learning_rate, fused=True)
         self._chance, self.old = chance, NOTHING
 
     def update(self, rollouts: Steps, rewards: Tensor, ask: Ask) -> dict[str, float]:
@@ -154,15 +157,13 @@ class GridSoftQ:
         for i in range(updates):
             part = slice(i * len(drawn) // updates, (i + 1) * len(drawn) // updates)
             with torch.no_grad():
-                target = soft_target(told[part], self.target(after[part]), self.config.gamma, self._temperature)
-            loss = functional.mse_loss(self.net(seen[part]).gather(1, action[part]).squeeze(1), target)
+                target = soft_target(told[part], self.net(after[part]), self.config.gamma, self._temperature)
+            loss = functional.mse_loss(self.q(seen[part]).gather(1, action[part]).squeeze(1), target)
             self.optimiser.zero_grad()
             loss.backward()
             self.optimiser.step()
             with torch.no_grad():
-                torch._foreach_lerp_(
-                    list(self.target.parameters()), list(self.net.parameters()), self._grid.target_rate
-                )
+                torch._foreach_lerp_(list(self.net.parameters()), list(self.q.parameters()), self._grid.target_rate)
             losses.append(loss.item())
         return {"p_loss": float(np.mean(losses)), "p_reward": rewards.mean().item()}
 
@@ -276,7 +277,7 @@ class GridLearner:
         self.version, self.accuracy = state["version"], state["accuracy"]
 
     def _saved_nets(self) -> dict[str, nn.Module]:
-        return {**self.nets(), "target": self.policy.target}
+        return {**self.nets(), "q": self.policy.q}
 
     def _parts(self) -> dict[str, GridDiscriminator | GridSoftQ | GridCloner]:
         return {"reward": self.discriminator, "policy": self.policy, "cloning": self.cloner}

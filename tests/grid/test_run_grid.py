@@ -178,7 +178,7 @@ def test_a_run_that_goes_on_from_a_checkpoint_ends_as_if_it_had_never_stopped(tm
     assert (whole / "curve.jsonl").read_text() == (parted / "curve.jsonl").read_text()
 
 
-@pytest.mark.parametrize("lost", ["reward_replay", "policy_replay", "target", "policy_optimiser", "reward_optimiser"])
+@pytest.mark.parametrize("lost", ["reward_replay", "policy_replay", "q", "policy_optimiser", "reward_optimiser"])
 def test_nothing_in_a_grid_checkpoint_could_be_left_out(lost: str, tmp_path: Path) -> None:
     config = small()
     fresh, run = open_run(config), open_run(config)
