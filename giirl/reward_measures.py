@@ -87,12 +87,12 @@ def ranks(x: Array) -> Array:
     return rank
 
 
-def value_correlation(world: World, learned: Array, true: Array, discount: float = DISCOUNT) -> Correlation:
-    """State-mean learned reward against the optimal value V* of the true one: is the reward shaped?
+def value_correlation(world: World, learned: Array, value: Array) -> Correlation:
+    """State-mean learned reward against the optimal value V* [S] of the true one: is the reward shaped?
 
     The thesis's claim behind figure 4.3, as a number. The sparse reward itself does not reach 1, V* does.
     """
-    score, value = state_mean(expected_reward(world, learned)), solve(world, true, discount=discount).v
+    score = state_mean(expected_reward(world, learned))
     return Correlation(spearman=spearman(score, value), pearson=pearson(score, value))
 
 

@@ -105,8 +105,6 @@ def read_pair(text: str) -> Pair:
 
 def open_run(config: Config, checkpoint: Path | None = None) -> GridRun:
     """A run at its first step, or where a checkpoint left it."""
-    if config.algorithm not in LOOPS:
-        raise ValueError(f"algorithm is {config.algorithm!r}, wanted one that the grid has: {' or '.join(LOOPS)}")
     torch.set_num_threads(1)  # the nets are small: more threads only wait for each other
     since_s = time.process_time()
     world = build_world(layouts_of(config.grid))

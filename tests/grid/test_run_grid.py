@@ -139,11 +139,6 @@ def test_a_grid_that_cannot_be_is_one_line(grid: GridConfig, said: str, tmp_path
     assert "\n" not in str(caught.value)
 
 
-def test_an_algorithm_that_the_grid_has_not_is_one_line() -> None:
-    with pytest.raises(ValueError, match="algorithm is 'sqil', wanted one that the grid has: giirl or cloning"):
-        open_run(Config(world="gridcraft", algorithm="sqil"))
-
-
 def test_a_mean_leaves_out_what_is_not_a_number() -> None:
     def one(value: float) -> Measures:
         names = [name for name in Measures.__slots__ if name != "pair"]
