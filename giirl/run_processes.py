@@ -13,7 +13,8 @@ from actors.choosers import NetChooser
 from actors.rollouts import Schedule
 from actors.uplink import Uplink, UplinkLimits
 from actors.worker import Worker, WorkerLimits
-from giirl.config import Config, parse_config
+from giirl.config import Config
+from giirl.config_file import parse_config
 from giirl.language import load_vectors
 from giirl.metrics import Metrics
 from giirl.reward import build_policy, build_reward

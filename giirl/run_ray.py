@@ -20,7 +20,8 @@ from typing import Any
 import ray
 from ray.exceptions import RayError
 
-from giirl.config import Config, dump_config
+from giirl.config import Config
+from giirl.config_file import dump_config
 from giirl.metrics import Metrics
 from giirl.run_processes import ActorProcess, RewardProcess
 from giirl.spec import Episode, Weights
