@@ -204,5 +204,7 @@ def test_a_run_that_is_stopped_saves_and_a_finished_one_can_be_evaluated_again(t
     assert invoke("evaluate", str(path), "--json", str(numbers)).exit_code == 0
     first, again = (json.loads(file.read_text()) for file in (path / "result.json", numbers))
     assert again["goals"] == first["goals"]
+    assert invoke("evaluate", str(path), 'grid.layouts=["rooms"]', "--json", str(numbers)).exit_code == 0
+    assert json.loads(numbers.read_text())["goals"] != first["goals"]
     with pytest.raises(ValueError, match="which has no pages"):
         invoke("reward", "toggle", str(path))
