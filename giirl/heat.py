@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from giirl.charts import minus
 from giirl.figures import Panel
 from giirl.gridcraft_layouts import COLOURS, WALL, Layout
+from giirl.shots import number
 
 CELL = 20  # the side of a cell in the picture
 
@@ -52,8 +52,8 @@ def draw_heat(layout: Layout, panels: Sequence[Panel]) -> Maps:
     low, high = float(every.min()), float(every.max())
     return Maps(
         layout=layout.name,
-        low=minus(f"{low:.1f}"),
-        high=minus(f"{high:.1f}"),
+        low=number(low),
+        high=number(high),
         maps=tuple(_heat(layout, panel, low, high) for panel in panels),
     )
 
@@ -62,16 +62,14 @@ def _heat(layout: Layout, panel: Panel, low: float, high: float) -> Heat:
     rows, columns = layout.cells.shape
     cells = []
     for row, column in np.ndindex(rows, columns):
-        number, value = int(layout.cells[row, column]), float(panel.values[row, column])
+        region, value = int(layout.cells[row, column]), float(panel.values[row, column])
         heat = (value - low) / (high - low) if np.isfinite(value) and high > low else 0.0
-        colour = COLOURS[number - 1] if number > 0 else ""
-        cells.append(
-            Cell(x=CELL * column, y=CELL * row, wall=number == WALL, heat=round(heat, 3), colour=colour)
-        )
+        colour = COLOURS[region - 1] if region > 0 else ""
+        cells.append(Cell(x=CELL * column, y=CELL * row, wall=region == WALL, heat=round(heat, 3), colour=colour))
     means = [
-        f"{colour} {minus(f'{panel.values[layout.cells == number].mean():.1f}')}"
-        for number, colour in enumerate(COLOURS, start=1)
-        if (layout.cells == number).any()
+        f"{colour} {number(float(panel.values[layout.cells == region].mean()))}"
+        for region, colour in enumerate(COLOURS, start=1)
+        if (layout.cells == region).any()
     ]
     says = f"{panel.title} Mean reward by region: {', '.join(means)}."
     return Heat(title=panel.title, says=says, width=CELL * columns, height=CELL * rows, cells=tuple(cells))
