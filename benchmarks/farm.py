@@ -15,13 +15,12 @@ from collections.abc import Iterator
 from importlib.metadata import version
 from typing import Any
 
-from benchmarks.sides import FarmSide, PackageSide, Played, pss_mb
+from benchmarks.sides import FIRST_SEED, FarmSide, PackageSide, Played, pss_mb
 from giirl.progress import Display, Job
 
 TASKS = ("click-test", "click-button", "enter-text", "click-checkboxes-large", "email-inbox", "social-media-all")
 HEAVY = "click-checkboxes-large"  # what memory is measured on
 SIDES = ("farm", "miniwob", "miniwob_no_screenshot")
-FIRST_SEED = 1 << 40  # far from everybody's pages
 
 
 def measure(

@@ -18,6 +18,7 @@ from browser_farm.experts import expert
 from browser_farm.farm import ChromeFarm
 from giirl.spec import Action, Command, EpisodeSpec, Goal, Observation, Page, Verb
 
+FIRST_SEED = 1 << 40  # far from the pages of everybody else
 CLICK_ELEMENT, FOCUS_AND_TYPE = 8, 12  # of the package's preset "all_supported"
 
 
