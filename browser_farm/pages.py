@@ -38,8 +38,16 @@ def step_call(command: Command, task: str) -> Json:
     following = command.following
     stays = following is not None and following.task == task and not needs_fresh_document(task)
     begins = [following.seed, following.mode] if following is not None and stays else None
-    action = [int(command.verb), command.ref, command.text, *command.at, *command.by, command.to]
-    return [action, command.last, begins]
+    return [_told(command), command.last, begins]
+
+
+def aim_call(command: Command) -> Json:
+    """Ask where the input events of an action have to go."""
+    return [_told(command), True]
+
+
+def _told(command: Command) -> Json:
+    return [int(command.verb), command.ref, command.text, *command.at, *command.by, command.to]
 
 
 def decode_page(columns: list[Any]) -> Page:
