@@ -42,6 +42,7 @@ FLAGS = (
     "--disable-prompt-on-repost",
     "--disable-quic",
     "--disable-renderer-backgrounding",
+    "--disable-smooth-scrolling",
     "--disable-sync",
     "--force-color-profile=srgb",
     "--force-device-scale-factor=1",

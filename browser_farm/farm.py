@@ -190,6 +190,9 @@ class ChromeFarm:
             for tab, failure in self._tabs.input(wanted).items():
                 self._shown[tab].lost = failure.cause
                 self._mend(tab, failure, attempt=0)
+            turned = {tab: pages.DRAWN for tab in wanted if able[tab].verb is Verb.SCROLL and not self._shown[tab].lost}
+            if turned:
+                self._tabs.evaluate(turned, promised=True)
             sent = set(wanted)
         except BrowserGone:
             self._relaunch()

@@ -36,7 +36,9 @@ const gestures = (() => {
 
   function focusNear(element) {
     for (let node = element; node && node !== document.body; node = node.parentElement) {
-      if (node.focus) node.focus({ preventScroll: true });
+      // Asking Chrome whether an element takes the focus costs a layout: ask only those that may.
+      if (node.tabIndex < 0 && !node.hasAttribute('tabindex') && !node.isContentEditable) continue;
+      node.focus({ preventScroll: true });
       if (document.activeElement === node) return;
     }
     if (document.activeElement && document.activeElement !== document.body) document.activeElement.blur();

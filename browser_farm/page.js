@@ -4,7 +4,8 @@
   if (window !== window.top) return;
 
   const FOREVER_MS = 2147483647;  // the longest a timer may wait; the step limit is the farm's
-  const IMAGES_MS = 2000;
+  const IMAGES_MS = 20000;  // what does not load fails at once: this is for a machine that is busy
+  const FRAMES_MS = 500;
   const OPENING_MS = 100;  // of the page's time before it is first seen: what it draws, it draws with the next frame
   const WAIT = '"wait"', GONE = '"gone"';
 
@@ -105,6 +106,12 @@
     return open ? JSON.stringify(site ? site.aim(action) : null) : GONE;
   }
 
+  // What the wheel turns, Chrome moves with a frame.
+  function drawn() {
+    const frames = new Promise((go) => clock.native.requestAnimationFrame(() => clock.native.requestAnimationFrame(go)));
+    return Promise.race([frames, new Promise((go) => setTimeout(go, FRAMES_MS))]).then(() => '');
+  }
+
   let icons = null;  // held so that they stay in memory
 
   // An icon of a style sheet has no size until it is loaded, and it loads only where it is first shown.
@@ -117,8 +124,23 @@
       }
     };
     for (const sheet of document.styleSheets) gather(sheet.cssRules, sheet.href || document.baseURI);
-    icons = [...urls].map((url) => Object.assign(new Image(), { src: url }));
-    return Promise.race([settled(icons), new Promise((go) => setTimeout(go, IMAGES_MS))]);
+    icons = [...urls].map((url) => {
+      const image = Object.assign(new Image(), { src: url }), shown = document.createElement('giirl-icon');
+      shown.style.cssText = `position: fixed; left: -9999px; content: url("${url}")`;
+      document.documentElement.append(shown);  // beside the body, where nobody looks
+      return { image, shown };
+    });
+    return Promise.race([shownIcons(), new Promise((go) => setTimeout(go, IMAGES_MS))]);
+  }
+
+  // Loaded is not yet shown: what another tab has loaded is there at once, and has its size a moment later.
+  async function shownIcons() {
+    await settled(icons.map(({ image }) => image));
+    for (const { image, shown } of icons) {
+      while (image.naturalWidth > 0 && shown.getBoundingClientRect().width === 0) {
+        await new Promise((go) => setTimeout(go, 5));
+      }
+    }
   }
 
   function begin(next) {
@@ -133,5 +155,5 @@
   // All answers are JSON.
   const answer = (words) => [begin, aim, step][words.length - 1](...words);
 
-  Object.defineProperty(window, 'giirl', { value: { answer, isOpen: () => open, later: () => waited } });
+  Object.defineProperty(window, 'giirl', { value: { answer, isOpen: () => open, drawn, later: () => waited } });
 })();

@@ -20,6 +20,7 @@ TAMPERED = 2
 GONE = "gone"  # what a document without an open episode answers
 WAIT = "wait"  # the page is still loading: LATER has the answer
 LATER = "giirl.later()"
+DRAWN = "giirl.drawn()"  # once Chrome has drawn what a turn of the wheel moved
 Json = list[Any]
 SCRIPTS = ("clock", "focus", "keyboard", "gestures", "reading", "elements", "frame", "page")
 
