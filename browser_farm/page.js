@@ -5,7 +5,7 @@
 
   const FOREVER_MS = 2147483647;  // the longest a timer may wait; the step limit is the farm's
   const IMAGES_MS = 20000;  // what does not load fails at once: this is for a machine that is busy
-  const FRAMES_MS = 500;
+  const WHEEL_MS = 3000, FRAME_MS = 200;  // how long to wait for each
   const OPENING_MS = 100;  // of the page's time before it is first seen: what it draws, it draws with the next frame
   const WAIT = '"wait"', GONE = '"gone"';
 
@@ -106,10 +106,14 @@
     return open ? JSON.stringify(site ? site.aim(action) : null) : GONE;
   }
 
-  // What the wheel turns, Chrome moves with a frame.
-  function drawn() {
-    const frames = new Promise((go) => clock.native.requestAnimationFrame(() => clock.native.requestAnimationFrame(go)));
-    return Promise.race([frames, new Promise((go) => setTimeout(go, FRAMES_MS))]).then(() => '');
+  // Chrome hands on a turn of the wheel when it is ready to, and moves the page with one of the frames that follow.
+  async function drawn() {
+    const site = shown(), wait = (ms) => new Promise((go) => setTimeout(go, ms));
+    for (let ms = 0; ms < WHEEL_MS && site && !site.turned(); ms += 10) await wait(10);
+    for (let frame = 0; frame < 3; frame += 1) {
+      await Promise.race([new Promise((go) => clock.native.requestAnimationFrame(go)), wait(FRAME_MS)]);
+    }
+    return '';
   }
 
   let icons = null;  // held so that they stay in memory
