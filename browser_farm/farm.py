@@ -127,24 +127,34 @@ class ChromeFarm:
             results[tab] = replace(results[tab], observation=observation)
         return results
 
+    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
+        """PNG of a part of what a tab shows: left, top, width, height in CSS px, each `scale` dots wide.
+
+        A tab that does not answer gives none, and is lost at its next step.
+        """
+        self._check({tab: None})
+        if self._shown[tab].lost:
+            return b""
+        try:
+            png = self._tabs.screenshot(tab, box, scale)
+        except BrowserGone:
+            self._relaunch()
+            return b""
+        if isinstance(png, Failure):
+            self._shown[tab].lost = png.cause
+            self._mend(tab, png, attempt=0)
+            return b""
+        return png
+
     def screenshots(self, tabs: Iterable[int], width: int, height: int) -> dict[int, NDArray[np.uint8]]:
         """[height, width, 3] RGB of each tab's upper left corner, one after the other: only a shown tab is drawn.
 
         A tab that does not answer is black here and lost at its next step.
         """
-        wanted = list(tabs)
-        self._check(dict.fromkeys(wanted))
-        pictures = {tab: np.zeros((height, width, 3), dtype=np.uint8) for tab in wanted}
-        try:
-            for tab in wanted:
-                png = b"" if self._shown[tab].lost else self._tabs.screenshot(tab, width, height)
-                if isinstance(png, Failure):
-                    self._shown[tab].lost = png.cause
-                    self._mend(tab, png, attempt=0)
-                elif png:
-                    pictures[tab][:] = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
-        except BrowserGone:
-            self._relaunch()
+        pictures = {tab: np.zeros((height, width, 3), dtype=np.uint8) for tab in tabs}
+        for tab, picture in pictures.items():
+            if png := self.picture(tab, (0, 0, width, height)):
+                picture[:] = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
         return pictures
 
     def close(self) -> None:

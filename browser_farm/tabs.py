@@ -169,9 +169,9 @@ class Tabs:
         for hub in {id(hub): hub for hub in map(self._hub, tabs)}.values():
             hub.interrupt(timeout_s=self._call_timeout_s)
 
-    def screenshot(self, tab: int, width: int, height: int) -> bytes | Failure:
-        """The upper left corner of a page as PNG. The tab is shown meanwhile: Chrome draws no other."""
-        clip = {"x": 0, "y": 0, "width": width, "height": height, "scale": 1}
+    def screenshot(self, tab: int, box: tuple[float, float, float, float], scale: float) -> bytes | Failure:
+        """A part of a page as PNG. The tab is shown meanwhile: Chrome draws no other."""
+        clip = dict(zip(("x", "y", "width", "height"), box, strict=True)) | {"scale": scale}
         shot = {"format": "png", "clip": clip, "optimizeForSpeed": True}
         reply = self._call_all("Page.bringToFront", {tab: {}})[tab]
         if not isinstance(reply, Failure):
