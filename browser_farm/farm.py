@@ -155,6 +155,8 @@ class ChromeFarm:
     def _ask(self, calls: Mapping[int, pages.Json]) -> dict[int, pages.Answer]:
         """Answers of the pages; a tab without one has been marked lost and mended."""
         answers: dict[int, pages.Answer] = {}
+        if not calls:
+            return answers
         try:
             for tab, outcome in self._tabs.ask(calls).items():
                 answer = _read(outcome, self._view)
@@ -218,7 +220,7 @@ class ChromeFarm:
         }
         failures = self._tabs.navigate(urls) if urls else {}
         calls = {tab: pages.start_call(episode) for tab, episode in missing.items() if tab not in failures}
-        for tab, outcome in self._tabs.ask(calls).items():
+        for tab, outcome in self._tabs.ask(calls, opening=True).items():
             answer = _read(outcome, self._view)
             if isinstance(answer, Failure):
                 failures[tab] = answer
