@@ -142,7 +142,10 @@ def test_a_field_holds_what_a_person_would_have_typed(farm: Farm, moves: tuple[M
         ("number", "-5.5", "-5.5"),
         ("email", "a@b.c", "a@b.c"),
         ("date", "2019-02-08", "2019-02-08"),
+        ("date", "02/08/2019", "2019-02-08"),
         ("time", "19:16", "19:16"),
+        ("time", "7:16 PM", "19:16"),
+        ("time", "12:05 AM", "00:05"),
         ("range", "30", "30"),
     ],
 )
