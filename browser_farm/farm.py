@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import TracebackType
+from typing import Any
 
 from browser_farm import pages
 from browser_farm.devtools import BrowserGone
@@ -60,7 +62,6 @@ class ChromeFarm:
         self._closed = False
         self._tabs = Tabs(
             tabs,
-            script=pages.script(),
             call_timeout_s=call_timeout_s,
             launch_timeout_s=launch_timeout_s,
             headless=headless,
@@ -93,7 +94,7 @@ class ChromeFarm:
 
     def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]:
         self._check(commands)
-        calls: dict[int, str] = {}
+        calls: dict[int, pages.Json] = {}
         for tab, command in commands.items():
             shown = self._shown[tab]
             if shown.episode is None:
@@ -127,7 +128,7 @@ class ChromeFarm:
             if not 0 <= tab < self.tabs:
                 raise ValueError(f"there is no tab {tab}: wanted 0 to {self.tabs - 1}")
 
-    def _ask(self, calls: Mapping[int, str]) -> dict[int, pages.Answer]:
+    def _ask(self, calls: Mapping[int, pages.Json]) -> dict[int, pages.Answer]:
         """Answers of the pages; a tab without one has been marked lost and mended."""
         answers: dict[int, pages.Answer] = {}
         try:
@@ -143,10 +144,12 @@ class ChromeFarm:
             return {}
         return answers
 
-    def _evaluate(self, calls: Mapping[int, str]) -> dict[int, str | Failure]:
-        outcomes = self._tabs.evaluate(calls) if calls else {}
+    def _evaluate(self, calls: Mapping[int, pages.Json]) -> dict[int, Any | Failure]:
+        outcomes = self._tabs.ask(calls) if calls else {}
         later = {tab: pages.LATER for tab, outcome in outcomes.items() if outcome == pages.WAIT}
-        return {**outcomes, **self._tabs.evaluate(later, promised=True)} if later else outcomes
+        for tab, outcome in (self._tabs.evaluate(later, promised=True) if later else {}).items():
+            outcomes[tab] = json.loads(outcome) if isinstance(outcome, str) else outcome
+        return outcomes
 
     def _advance(self, tab: int, command: Command, answer: pages.Answer | None) -> StepResult:
         """Note what the tab shows now; the result lacks an observation where the farm has to open one."""
@@ -188,7 +191,7 @@ class ChromeFarm:
                     f"task {episode.task} with seed {episode.seed} does not open in tab {tab} "
                     f"after {OPEN_ATTEMPTS} attempts: {last.cause} {last.words}".rstrip()
                 )
-        return opened
+        return {tab: opened[tab] for tab in wanted}
 
     def _try_open(self, missing: Mapping[int, EpisodeSpec], opened: dict[int, Observation]) -> dict[int, Failure]:
         urls = {
@@ -214,10 +217,12 @@ class ChromeFarm:
         """Leave the tab so that loading a document in it can succeed; each attempt reaches for more."""
         self._on_restart(failure.cause)
         self._shown[tab].task = None
-        if failure.cause == "page_hung":
-            self._tabs.interrupt(tab)
-        if attempt == 1:
-            self._tabs.replace(tab)
+        if self._tabs.has_crashed(tab) or attempt == 1:
+            for other in self._tabs.rebuild(tab):
+                self._shown[other].task = None
+                if other != tab and self._shown[other].episode is not None and not self._shown[other].lost:
+                    self._on_restart("tab_crashed")
+                    self._shown[other].lost = "tab_crashed"
         elif attempt == 2 and failure.cause != "page_error":  # a new Chrome does not mend a page's own mistake
             raise BrowserGone(f"tab {tab} does not come back: {failure.cause} {failure.words}".rstrip())
 
@@ -230,7 +235,7 @@ class ChromeFarm:
         self._tabs.launch()
 
 
-def _read(outcome: str | Failure) -> pages.Answer | Failure:
+def _read(outcome: Any | Failure) -> pages.Answer | Failure:
     if isinstance(outcome, Failure):
         return outcome
     if outcome == pages.GONE:

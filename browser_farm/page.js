@@ -5,6 +5,7 @@
 
   const FOREVER_MS = 2147483647;  // the longest a timer may wait; the step limit is the farm's
   const IMAGES_MS = 2000;
+  const WAIT = '"wait"', GONE = '"gone"';
 
   let open = false;            // an episode was started in this document
 
@@ -28,6 +29,9 @@
     if (quiet) return;
     quiet = true;
     const nothing = () => {};
+    document.body.removeEventListener('click', core.canvasDrawClick);
+    if (core.cover_div) core.cover_div.remove();
+    core.cover_div = { style: {} };
     for (const name of ['canvasDrawClick', 'canvasDrawElementClick', 'canvasClear', 'updateDisplay',
       'reloadDisplay', 'countdownTimer', 'clearTimer', 'startEpisode']) core[name] = nothing;
     Object.defineProperty(core, 'EPISODE_MAX_TIME', { get: () => FOREVER_MS, set: nothing });
@@ -77,11 +81,12 @@
     const wait = start(seed);
     if (wait === null) return reply();
     waited = wait.then(reply);
-    return 'wait';  // asking Chrome to wait for every answer would cost each step a third more
+    return WAIT;  // asking Chrome to wait for every answer would cost each step a third more
   }
 
   // seed is null when no episode of this task follows.
   function step(action, last, seed) {
+    if (!open) return GONE;
     const site = shown();
     if (site) site.act(action);
     else core.endEpisode(-1, false, 'navigated away');  // what the page itself says of it, where it can
@@ -113,9 +118,12 @@
     const load = document.readyState === 'complete' ? Promise.resolve()
       : new Promise((go) => window.addEventListener('load', () => setTimeout(go)));
     waited = load.then(loadIcons).then(() => opened(seed, 0, false))
-      .then((reply) => (reply === 'wait' ? waited : reply));
-    return 'wait';
+      .then((reply) => (reply === WAIT ? waited : reply));
+    return WAIT;
   }
 
-  Object.defineProperty(window, 'giirl', { value: { step, begin, isOpen: () => open, later: () => waited } });
+  // All answers are JSON.
+  const answer = (words) => (words.length === 1 ? begin(...words) : step(...words));
+
+  Object.defineProperty(window, 'giirl', { value: { answer, later: () => waited, isOpen: () => open } });
 })();

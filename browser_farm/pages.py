@@ -19,32 +19,36 @@ TAMPERED = 2
 GONE = "gone"  # what a document without an open episode answers
 WAIT = "wait"  # the page is still loading: LATER has the answer
 LATER = "giirl.later()"
+Json = list[Any]
 SCRIPTS = ("clock", "focus", "keyboard", "gestures", "reading", "frame", "page")
+
+
+def source(name: str) -> str:
+    """One of the scripts of this package."""
+    return Path(__file__).with_name(f"{name}.js").read_text(encoding="utf-8")
 
 
 @functools.cache
 def script(*first: str) -> str:
     """The source that Chrome runs in every document before the page's own scripts; `first` goes before all others."""
-    here = Path(__file__)
-    parts = [here.with_name(f"{name}.js").read_text(encoding="utf-8") for name in (*first, *SCRIPTS)]
+    parts = [source(name) for name in (*first, *SCRIPTS)]
     codes = json.dumps({**keys.NAMED, **keys.CODES})
     return (
         f"(() => {{\nif ('giirlFrame' in window) return;\nconst KEY_CODES = {codes};\n" + "\n".join(parts) + "\n})();\n"
     )
 
 
-def start_call(episode: EpisodeSpec) -> str:
-    return f"giirl.begin({episode.seed})"
+def start_call(episode: EpisodeSpec) -> Json:
+    return [episode.seed]
 
 
-def step_call(command: Command, task: str) -> str:
+def step_call(command: Command, task: str) -> Json:
     """Act, and go on in the same document when the episode that follows has the same task."""
     following = command.following
     stays = following is not None and following.task == task and not needs_fresh_document(task)
     seed = following.seed if following is not None and stays else None
     action = [int(command.verb), command.ref, command.text, *command.at, *command.by, command.to]
-    step = f"giirl.step({json.dumps(action)},{json.dumps(command.last)},{json.dumps(seed)})"
-    return f"window.giirl&&giirl.isOpen()?{step}:'{GONE}'"
+    return [action, command.last, seed]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,9 +61,9 @@ class Answer:
     goal: Goal | None
 
 
-def decode(text: str) -> Answer:
-    """The answer in `text`; ValueError when it is none."""
-    raw_reward, done, columns, utterance = json.loads(text)
+def decode(words: Json) -> Answer:
+    """The answer in what a page said; ValueError or TypeError when it is none."""
+    raw_reward, done, columns, utterance = words
     return Answer(
         raw_reward=float(raw_reward),
         done=bool(done),
