@@ -23,7 +23,7 @@ from giirl.spec import Action, EpisodeSpec, Goal, Observation, Page, Purpose, Ve
 
 RESULT = Path("benchmarks/results/experts.json")
 TABLE = Path("docs/experts.md")
-SHARES = 4  # of the tasks, so that none takes long on a busy machine
+SHARES = 6  # of the tasks, so that none takes long on a busy machine
 SOMETIMES_LOST = {"tic-tac-toe", "email-inbox-nl-turk", "email-inbox-forward-nl-turk"}
 
 
