@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-import json
+import io
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
 
 from browser_farm import pages
 from browser_farm.devtools import BrowserGone
@@ -49,6 +53,7 @@ class ChromeFarm:
         launch_timeout_s: float = 60.0,
         headless: bool = True,
         no_sandbox: bool | None = None,  # None: only as root, where Chrome refuses to run otherwise
+        view: pages.View = pages.ROWS,
         on_restart: Callable[[str], None] = _tell_nobody,
     ) -> None:
         if tabs < 1:
@@ -57,11 +62,13 @@ class ChromeFarm:
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"ChromeFarm.{name} is {value}: wanted a number of seconds above 0")
         self.tabs = tabs
+        self._view = view
         self._on_restart = on_restart
         self._shown = [Shown() for _ in range(tabs)]
         self._closed = False
         self._tabs = Tabs(
             tabs,
+            view=view,
             call_timeout_s=call_timeout_s,
             launch_timeout_s=launch_timeout_s,
             headless=headless,
@@ -111,11 +118,38 @@ class ChromeFarm:
             if results[tab].observation is None and command.following is not None:
                 opening[tab] = command.following
         for tab, observation in self._open(opening).items():
-            result = results[tab]
-            results[tab] = StepResult(
-                raw_reward=result.raw_reward, done=result.done, observation=observation, lost=result.lost
-            )
+            results[tab] = replace(results[tab], observation=observation)
         return results
+
+    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
+        """PNG of a part of what a tab shows: left, top, width, height in CSS px, each `scale` dots wide.
+
+        A tab that does not answer gives none, and is lost at its next step.
+        """
+        self._check({tab: None})
+        if self._shown[tab].lost:
+            return b""
+        try:
+            png = self._tabs.screenshot(tab, box, scale)
+        except BrowserGone:
+            self._relaunch()
+            return b""
+        if isinstance(png, Failure):
+            self._shown[tab].lost = png.cause
+            self._mend(tab, png, attempt=0)
+            return b""
+        return png
+
+    def screenshots(self, tabs: Iterable[int], width: int, height: int) -> dict[int, NDArray[np.uint8]]:
+        """[height, width, 3] RGB of each tab's upper left corner, one after the other: only a shown tab is drawn.
+
+        A tab that does not answer is black here and lost at its next step.
+        """
+        pictures = {tab: np.zeros((height, width, 3), dtype=np.uint8) for tab in tabs}
+        for tab, picture in pictures.items():
+            if png := self.picture(tab, (0, 0, width, height)):
+                picture[:] = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
+        return pictures
 
     def close(self) -> None:
         self._closed = True
@@ -132,8 +166,8 @@ class ChromeFarm:
         """Answers of the pages; a tab without one has been marked lost and mended."""
         answers: dict[int, pages.Answer] = {}
         try:
-            for tab, outcome in self._evaluate(calls).items():
-                answer = _read(outcome)
+            for tab, outcome in self._tabs.ask(calls).items():
+                answer = _read(outcome, self._view)
                 if isinstance(answer, Failure):
                     self._shown[tab].lost = answer.cause
                     self._mend(tab, answer, attempt=0)
@@ -143,13 +177,6 @@ class ChromeFarm:
             self._relaunch()
             return {}
         return answers
-
-    def _evaluate(self, calls: Mapping[int, pages.Json]) -> dict[int, Any | Failure]:
-        outcomes = self._tabs.ask(calls) if calls else {}
-        later = {tab: pages.LATER for tab, outcome in outcomes.items() if outcome == pages.WAIT}
-        for tab, outcome in (self._tabs.evaluate(later, promised=True) if later else {}).items():
-            outcomes[tab] = json.loads(outcome) if isinstance(outcome, str) else outcome
-        return outcomes
 
     def _advance(self, tab: int, command: Command, answer: pages.Answer | None) -> StepResult:
         """Note what the tab shows now; the result lacks an observation where the farm has to open one."""
@@ -163,7 +190,7 @@ class ChromeFarm:
         observation = None
         if answer.page is not None and shown.episode is not None and shown.goal is not None:
             observation = Observation(episode=shown.episode, page=answer.page, goal=shown.goal)
-        return StepResult(raw_reward=answer.raw_reward, done=answer.done, observation=observation)
+        return StepResult(raw_reward=answer.raw_reward, done=answer.done, observation=observation, reason=answer.reason)
 
     def _open(self, wanted: dict[int, EpisodeSpec]) -> dict[int, Observation]:
         """Open an episode in each tab, mending what breaks on the way."""
@@ -201,8 +228,8 @@ class ChromeFarm:
         }
         failures = self._tabs.navigate(urls) if urls else {}
         calls = {tab: pages.start_call(episode) for tab, episode in missing.items() if tab not in failures}
-        for tab, outcome in self._evaluate(calls).items():
-            answer = _read(outcome)
+        for tab, outcome in self._tabs.ask(calls).items():
+            answer = _read(outcome, self._view)
             if isinstance(answer, Failure):
                 failures[tab] = answer
             elif answer.page is None or answer.goal is None:
@@ -235,12 +262,12 @@ class ChromeFarm:
         self._tabs.launch()
 
 
-def _read(outcome: Any | Failure) -> pages.Answer | Failure:
+def _read(outcome: Any | Failure, view: pages.View) -> pages.Answer | Failure:
     if isinstance(outcome, Failure):
         return outcome
     if outcome == pages.GONE:
         return Failure(cause="navigated")
     try:
-        return pages.decode(outcome)
+        return pages.decode(outcome, view)
     except (ValueError, TypeError, OverflowError) as error:
         return Failure(cause="page_error", words=str(error))

@@ -21,7 +21,7 @@ const frame = (() => {
   function act([verb, ref, text, x, y, dx, dy, to]) {
     const mark = clock.mark();
     gestures.act({
-      verb, text, node: reading.nodeOf(ref), at: { x, y }, by: { x: dx, y: dy }, to: reading.nodeOf(to),
+      verb, text, node: view.nodeOf(ref), at: { x, y }, by: { x: dx, y: dy }, to: view.nodeOf(to),
     });
     clock.pass(STEP_MS, mark);
   }
@@ -36,10 +36,10 @@ const frame = (() => {
     }
     gestures.forget();
     keyboard.forget();
-    reading.forget();
+    view.forget();
     clock.restart();
   }
 
-  return { act, calm, forget, walk: reading.walk, clock };
+  return { act, calm, forget, walk: view.walk, clock };
 })();
 Object.defineProperty(window, 'giirlFrame', { value: frame });

@@ -165,7 +165,7 @@ const gestures = (() => {
     if (element === undefined || end === undefined) return;
     if ((element && !element.isConnected) || (end && !end.isConnected)) return;
     if (verb === PRESS) keyboard.press(element, text);
-    else if (verb === ACTIVATE) activate(element);
+    else if (verb === ACTIVATE) activate(element, text);
     else if (verb === TYPE || verb === APPEND) type(element, text, verb === TYPE);
     else if (verb <= MOUSE_UP) point(verb, element, at, by, end);
   }
@@ -186,7 +186,7 @@ const gestures = (() => {
     }
   }
 
-  function activate(element) {
+  function activate(element, text) {
     if (!element) return;
     if (element instanceof SVGElement) {
       for (const name of ['mousedown', 'mouseup', 'click']) element.dispatchEvent(new Event(name));
@@ -194,6 +194,7 @@ const gestures = (() => {
       element.click();
       element.focus();
     }
+    if (text) keyboard.type(null, text, false);
   }
 
   function type(element, text, clear) {

@@ -29,8 +29,11 @@ class Hub:
     A crash takes all of them; a page that does not come back holds up the others until it is interrupted.
     """
 
-    def __init__(self, tools: DevTools, url: str, numbers: Sequence[int], *, timeout_s: float) -> None:
+    def __init__(
+        self, tools: DevTools, url: str, numbers: Sequence[int], *, view: pages.View, timeout_s: float
+    ) -> None:
         self._tools = tools
+        self._view = view
         self._timeout_s = timeout_s
         blank = {"url": "about:blank", "background": True}
         self.page = self._attach(self._call(BROWSER, "Target.createTarget", blank)["targetId"])
@@ -82,8 +85,9 @@ class Hub:
         for info in self._call(BROWSER, "Target.getTargets")["targetInfos"]:
             if info.get("openerId") == self.page.target and info["targetId"] not in known:
                 tab = self._attach(info["targetId"])
-                source = {"source": pages.script()}
-                self._call(tab.session, "Page.addScriptToEvaluateOnNewDocument", source)
+                self._call(tab.session, "Page.addScriptToEvaluateOnNewDocument", {"source": self._view.script})
+                for method, params in self._view.emulation:
+                    self._call(tab.session, method, params)
                 return tab
         raise RuntimeError(f"tab {number} did not open")
 

@@ -5,6 +5,7 @@
 
   const FOREVER_MS = 2147483647;  // the longest a timer may wait; the step limit is the farm's
   const IMAGES_MS = 2000;
+  const OPENING_MS = 100;  // of the page's time before it is first seen: what it draws, it draws with the next frame
   const WAIT = '"wait"', GONE = '"gone"';
 
   let open = false;            // an episode was started in this document
@@ -45,14 +46,14 @@
     return reading.flat(String(typeof said === 'object' && said !== null ? said.utterance : said));
   }
 
-  function start(seed) {
+  function start([seed, mode]) {
     hush();
     frame.forget();
-    core.setDataMode('train');
+    core.setDataMode(mode);
     Math.seedrandom(seed);
     const mark = clock.mark();
     core.startEpisodeReal();
-    clock.pass(0, mark);
+    clock.pass(OPENING_MS, mark);
     open = true;
     const waiting = [...document.images].filter((image) => !image.complete);
     if (waiting.length === 0 && WOB_TASK_READY) return null;
@@ -76,25 +77,26 @@
 
   let waited = null;  // the answer that step() could not give at once
 
-  function opened(seed, reward, done) {
-    const reply = () => JSON.stringify([reward, done, (shown() || frame).walk(), utterance()]);
-    const wait = start(seed);
+  function opened(next, reward, done, ...reason) {
+    const reply = () => JSON.stringify([reward, done, (shown() || frame).walk(), utterance(), ...reason]);
+    const wait = start(next);
     if (wait === null) return reply();
     waited = wait.then(reply);
     return WAIT;  // asking Chrome to wait for every answer would cost each step a third more
   }
 
-  // seed is null when no episode of this task follows.
-  function step(action, last, seed) {
+  // next is null when no episode of this task follows.
+  function step(action, last, next) {
     if (!open) return GONE;
     const site = shown();
     if (site) site.act(action);
     else core.endEpisode(-1, false, 'navigated away');  // what the page itself says of it, where it can
     const done = WOB_DONE_GLOBAL === true;
     const reward = done ? Number(WOB_RAW_REWARD_GLOBAL) || 0 : 0;
+    const reason = done && WOB_REWARD_REASON ? [String(WOB_REWARD_REASON)] : [];
     if (!done && !last) return JSON.stringify([reward, done, (shown() || frame).walk(), null]);
     open = false;
-    return seed === null ? JSON.stringify([reward, done, null, null]) : opened(seed, reward, done);
+    return next === null ? JSON.stringify([reward, done, null, null, ...reason]) : opened(next, reward, done, ...reason);
   }
 
   let icons = null;  // held so that they stay in memory
@@ -113,11 +115,11 @@
     return Promise.race([settled(icons), new Promise((go) => setTimeout(go, IMAGES_MS))]);
   }
 
-  function begin(seed) {
-    if (icons !== null) return opened(seed, 0, false);
+  function begin(next) {
+    if (icons !== null) return opened(next, 0, false);
     const load = document.readyState === 'complete' ? Promise.resolve()
       : new Promise((go) => window.addEventListener('load', () => setTimeout(go)));
-    waited = load.then(loadIcons).then(() => opened(seed, 0, false))
+    waited = load.then(loadIcons).then(() => opened(next, 0, false))
       .then((reply) => (reply === WAIT ? waited : reply));
     return WAIT;
   }
@@ -125,5 +127,5 @@
   // All answers are JSON.
   const answer = (words) => (words.length === 1 ? begin(...words) : step(...words));
 
-  Object.defineProperty(window, 'giirl', { value: { answer, later: () => waited, isOpen: () => open } });
+  Object.defineProperty(window, 'giirl', { value: { answer, isOpen: () => open, later: () => waited } });
 })();

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from browser_farm import pages
-from browser_farm.chrome import Chrome
-from browser_farm.devtools import BROWSER, BrowserGone, DevTools, Json, browser_url
+from browser_farm.devtools import BrowserGone
 from browser_farm.miniwob import page_url
+from browser_farm.tabs import Failure, Tabs
 from giirl.keys import chord
 from giirl.spec import (
     DEMONSTRATION,
@@ -30,6 +30,7 @@ from giirl.spec import (
 )
 
 POLL_S = 0.1
+TAB = 0
 POINTED = frozenset({"svg", "canvas"})  # what matters is where they are clicked
 BARE_PX = 60  # an empty element wider and higher than this is an area, of which the same holds
 TAKE = "window.giirlRecorder&&window.giirl&&giirl.isOpen()?giirlRecorder.take():'gone'"
@@ -50,24 +51,23 @@ class Recorder:
         launch_timeout_s: float = 60.0,
         no_sandbox: bool | None = None,
     ) -> None:
-        self._timeout_s = call_timeout_s
-        self._gone = False
-        self._chrome = Chrome(headless=headless, no_sandbox=no_sandbox, timeout_s=launch_timeout_s)
+        self._tabs = Tabs(
+            1,
+            view=pages.View(reader="reading", decode=pages.decode_page, first=("recorder",)),
+            call_timeout_s=call_timeout_s,
+            launch_timeout_s=launch_timeout_s,
+            headless=headless,
+            no_sandbox=no_sandbox,
+        )
+        self._steps: list[list[Any]] = []
         try:
-            url = browser_url(self._chrome.debugger_address, timeout_s=launch_timeout_s)
-            self._tools = DevTools(url, timeout_s=launch_timeout_s, on_event=self._on_event)
-            target = {"targetId": self._chrome.first_target, "flatten": True}
-            self._session = self._call("Target.attachToTarget", target, session=BROWSER)["sessionId"]
-            self._call("Page.enable")
-            self._call("Inspector.enable")
-            self._call("Page.addScriptToEvaluateOnNewDocument", {"source": pages.script("recorder")})
+            self._tabs.launch()
         except BaseException:
-            self._chrome.end()
+            self.close()
             raise
 
     def close(self) -> None:
-        self._tools.close()
-        self._chrome.end()
+        self._tabs.close()
 
     def record(self, spec: EpisodeSpec, tell: Callable[[str], None]) -> Episode | None:
         """Open a page, `tell` its instruction, and return what was done; None for an episode without a step.
@@ -79,46 +79,28 @@ class Recorder:
         tell(goal.utterance)
         steps: list[list[Any]] = []
         while True:
-            taken, done, raw_reward = json.loads(self._ask(TAKE))
+            taken, done, raw_reward = json.loads(self._said(self._tabs.evaluate({TAB: TAKE})[TAB]))
             steps += taken
             if done:
                 return _episode(spec, goal, steps, Outcome(raw_reward=float(raw_reward), ended=True))
             time.sleep(POLL_S)
 
     def _open(self, spec: EpisodeSpec) -> Goal:
-        failed = self._call("Page.navigate", {"url": page_url(spec.task)}).get("errorText")
-        if failed:
-            raise Interrupted(f"{spec.task} does not open: {failed}")
-        answer = json.loads(self._ask(f"giirl.answer({json.dumps(pages.start_call(spec))})"))
-        if answer == pages.WAIT:
-            answer = json.loads(self._ask(pages.LATER, promised=True))
-        goal = pages.decode(answer).goal
+        for failure in self._tabs.navigate({TAB: page_url(spec.task)}).values():
+            raise Interrupted(f"{spec.task} does not open: {failure.cause} {failure.words}")
+        self._tabs.show(TAB)
+        goal = pages.decode(self._said(self._tabs.ask({TAB: pages.start_call(spec)})[TAB]), pages.ROWS).goal
         assert goal is not None, "a page that opens says its instruction"
         return goal
 
-    def _ask(self, expression: str, *, promised: bool = False) -> str:
-        """What an expression in the page gives, a string."""
-        params = {"expression": expression, "returnByValue": True, "awaitPromise": promised}
-        reply = self._call("Runtime.evaluate", params)
-        if "exceptionDetails" in reply:
-            raise Interrupted(f"the page was left, or is broken: {reply['exceptionDetails']['text']}")
-        answer = str(reply["result"]["value"])
+    def _said(self, answer: Any | Failure) -> Any:
+        if isinstance(answer, Failure) and answer.cause == "tab_crashed":
+            raise BrowserGone("the tab was closed, or crashed")
+        if isinstance(answer, Failure):
+            raise Interrupted(f"{answer.cause} {answer.words}".strip())
         if answer == pages.GONE:
             raise Interrupted("the page was left")
         return answer
-
-    def _call(self, method: str, params: Json | None = None, *, session: str | None = None) -> Json:
-        where = self._session if session is None else session
-        try:
-            return self._tools.call(where, method, params, timeout_s=self._timeout_s)
-        except (RuntimeError, TimeoutError) as error:
-            if self._gone:
-                raise BrowserGone("the tab was closed, or crashed") from error
-            raise Interrupted(str(error)) from error
-
-    def _on_event(self, session: str, method: str, params: Json) -> None:
-        del session, params
-        self._gone |= method in ("Inspector.targetCrashed", "Target.detachedFromTarget")
 
 
 def _episode(spec: EpisodeSpec, goal: Goal, steps: list[list[Any]], outcome: Outcome) -> Episode | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 import time
@@ -37,12 +38,14 @@ class Tabs:
         self,
         count: int,
         *,
+        view: pages.View,
         call_timeout_s: float,
         launch_timeout_s: float,
         headless: bool,
         no_sandbox: bool | None,
     ) -> None:
         self._count = count
+        self._view = view
         self._call_timeout_s = call_timeout_s
         self._launch_timeout_s = launch_timeout_s
         self._headless = headless
@@ -79,7 +82,15 @@ class Tabs:
         self._hubs.clear()
 
     def ask(self, questions: Mapping[int, pages.Json]) -> dict[int, Any | Failure]:
-        """Ask the pages of many tabs, one call for each process, and have their answers as values.
+        """Ask the pages of many tabs, and have their answers as values; a page that still loads is waited for."""
+        answers = self._ask_hubs(questions)
+        later = {tab: pages.LATER for tab, answer in answers.items() if answer == pages.WAIT}
+        for tab, text in (self.evaluate(later, promised=True) if later else {}).items():
+            answers[tab] = json.loads(text) if isinstance(text, str) else text
+        return answers
+
+    def _ask_hubs(self, questions: Mapping[int, pages.Json]) -> dict[int, Any | Failure]:
+        """One call for each process.
 
         A page that does not come back is interrupted; the tabs behind it in its process are asked again.
         """
@@ -134,6 +145,20 @@ class Tabs:
                 failures[tab] = Failure(cause="navigated", words=words)
         return failures
 
+    def screenshot(self, tab: int, box: tuple[float, float, float, float], scale: float) -> bytes | Failure:
+        """A part of a page as PNG. The tab is shown meanwhile: Chrome draws no other."""
+        clip = dict(zip(("x", "y", "width", "height"), box, strict=True)) | {"scale": scale}
+        shot = {"format": "png", "clip": clip, "optimizeForSpeed": True}
+        reply = self._call_all("Page.bringToFront", {tab: {}})[tab]
+        if not isinstance(reply, Failure):
+            reply = self._call_all("Page.captureScreenshot", {tab: shot})[tab]
+        self._tools.post(BROWSER, "Target.activateTarget", self._aside())
+        if isinstance(reply, Failure):
+            return reply
+        if not reply.result:
+            return Failure(cause="page_error", words=reply.error)
+        return base64.b64decode(reply.result["data"])
+
     def rebuild(self, tab: int) -> set[int]:
         """Give up the process that a tab lives in, and open all of its tabs anew; they are named."""
         index = self._hubs.index(self._hub(tab))
@@ -145,6 +170,10 @@ class Tabs:
     def has_crashed(self, tab: int) -> bool:
         """Whether the process of this tab is gone."""
         return self._hub(tab).crashed
+
+    def show(self, tab: int) -> None:
+        """Bring a tab to the front, where a person can see and use it."""
+        self._tools.post(self._tab(tab).session, "Page.bringToFront")
 
     @property
     def _tools(self) -> DevTools:
@@ -163,13 +192,15 @@ class Tabs:
     def _open_hub(self, numbers: Sequence[int]) -> Hub:
         tools = self._tools
         try:
-            hub = Hub(tools, self.chrome.hub_url, numbers, timeout_s=self._launch_timeout_s)
+            hub = Hub(tools, self.chrome.hub_url, numbers, view=self._view, timeout_s=self._launch_timeout_s)
             # A tab that is shown draws frames. The one that Chrome began with draws nothing.
-            shown = {"targetId": self.chrome.first_target}
-            tools.call(BROWSER, "Target.activateTarget", shown, timeout_s=self._launch_timeout_s)
+            tools.call(BROWSER, "Target.activateTarget", self._aside(), timeout_s=self._launch_timeout_s)
         except (TimeoutError, RuntimeError) as error:
             raise BrowserGone(f"Chrome opens no tab: {error}") from error
         return hub
+
+    def _aside(self) -> Json:
+        return {"targetId": self.chrome.first_target}
 
     def _hub(self, tab: int) -> Hub:
         return next(hub for hub in self._hubs if tab in hub.tabs)

@@ -86,20 +86,29 @@ def record(out: Path, tasks: tuple[str, ...], per_task: int, seed: int) -> None:
 @demos.command(name="import")
 @click.argument("folder", type=click.Path(path_type=Path))
 @OUT
-@TASKS
+@click.option("--task", "tasks", multiple=True, help="A task; may be given again. All that FOLDER has if not.")
 @click.option("--per-task", type=click.IntRange(1), help="At most so many clean ones a task.")
 @click.option("--collection", "collections", multiple=True, help="Only this folder of FOLDER; may be given again.")
+@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write what became of each task here.")
 def import_(
-    folder: Path, out: Path, tasks: tuple[str, ...], per_task: int | None, collections: tuple[str, ...]
+    folder: Path,
+    out: Path,
+    tasks: tuple[str, ...],
+    per_task: int | None,
+    collections: tuple[str, ...],
+    json_file: Path | None,
 ) -> None:
     """Turn public human recordings (COLLECTION/TASK/*.json.gz) into demonstrations; failures stay, marked."""
     from giirl.run_demos import recorded
 
     writable(out)
-    episodes, report = recorded(folder, tasks or DEFAULT_TASKS, per_task, collections or None, Display())
+    writable(json_file)
+    episodes, report = recorded(folder, tasks, per_task, collections or None, Display())
     for line in report.lines():
         click.echo(line)
     _save(out, episodes, wanted=None)
+    if json_file is not None:
+        json_file.write_text(json.dumps(report.summary(), indent=1) + "\n", encoding="utf-8")
 
 
 @demos.command()

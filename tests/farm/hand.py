@@ -9,7 +9,7 @@ import json
 from typing import Any
 
 from browser_farm.devtools import BROWSER
-from browser_farm.recorder import Recorder
+from browser_farm.recorder import TAB, Recorder
 from giirl.keys import MODIFIERS, key_code
 
 FIND = """(() => {
@@ -24,7 +24,7 @@ class Hand:
     """Its wait for each event is Chrome's own answer, so what it did has reached the page when it goes on."""
 
     def __init__(self, recorder: Recorder) -> None:
-        self._recorder = recorder
+        self._tabs = recorder._tabs
 
     def find(self, selector: str, text: str | None = None, nth: int = 0) -> tuple[float, float]:
         """The middle of the nth such element with this text."""
@@ -34,7 +34,9 @@ class Hand:
         return x, y
 
     def ask(self, expression: str) -> str:
-        return self._recorder._ask(expression)
+        answer = self._tabs.evaluate({TAB: expression})[TAB]
+        assert isinstance(answer, str), answer
+        return answer
 
     def click(self, selector: str, text: str | None = None, nth: int = 0) -> None:
         self.click_at(*self.find(selector, text, nth))
@@ -72,11 +74,10 @@ class Hand:
         self._send("Input.dispatchKeyEvent", type="keyUp", **told)
 
     def close(self) -> None:
-        target = {"targetId": self._recorder._chrome.first_target}
-        self._recorder._call("Target.closeTarget", target, session=BROWSER)
+        self._tabs._tools.call(BROWSER, "Target.closeTarget", {"targetId": self._tabs._tab(TAB).target}, timeout_s=5.0)
 
     def _mouse(self, kind: str, x: float, y: float) -> None:
         self._send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
 
     def _send(self, method: str, **params: Any) -> None:
-        self._recorder._call(method, params)
+        self._tabs._tools.call(self._tabs._tab(TAB).session, method, params, timeout_s=5.0)
