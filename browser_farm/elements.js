@@ -10,7 +10,7 @@ const elements = (() => {
   // The flight tasks show a site in a frame, which counts for itself and has no furniture.
   const site = () => window.$miniwob || core;
   const flight = () => '$miniwob' in window;
-  // What the page writes beside a click, and we beside a ref, to tell this episode's from an earlier one's.
+  // What stands beside a click and a ref, to tell this episode's from an earlier one's.
   const episode = () => (flight() ? 'e' : `e${WOB_EPISODE_ID}`);
 
   let nodes = new Map();  // ref -> element, of those shown last
@@ -149,9 +149,15 @@ const elements = (() => {
   // In the order of their names: so chromedriver hands them to the package.
   const fieldsOf = (named) => Object.entries(named).sort(([one], [other]) => (one < other ? -1 : 1));
 
+  // The page notes clicks that come up to its body, until the farm quiets it.
+  function note(event) {
+    event.target.setAttribute('data-tampered', episode());
+  }
+
   // The click that ended the last episode carries the number of the next.
   function forget() {
     reading.forget();
+    if (!core.flightChildWindow) document.body.addEventListener('click', note);
     core.endEpisode(0);
     WOB_EPISODE_ID += 1;
   }

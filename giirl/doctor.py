@@ -36,6 +36,7 @@ PACKAGES = (
     ("miniwob", "miniwob"),
     ("msgpack", "msgpack"),
     ("numpy", "numpy"),
+    ("pillow", "PIL"),
     ("prometheus-client", "prometheus_client"),
     ("psutil", "psutil"),
     ("pyarrow", "pyarrow"),

@@ -228,36 +228,6 @@ def test_a_slider_is_refused_because_policies_cannot_type_into_it(tmp_path: Path
     assert refused(tape, tmp_path) == "field takes no text"
 
 
-@pytest.mark.parametrize(
-    ("kind", "utterance", "held", "words"),
-    [
-        ("date", "Enter 02/08/2019 as the date.", "2019-02-08", "02/08/2019"),
-        ("time", "Enter 7:16 PM as the time.", "19:16", "7:16 PM"),
-        ("time", "Enter 12:05 AM as the time.", "00:05", "12:05 AM"),
-        ("time", "Enter 11:12 AM as the time.", "11:12", "11:12 AM"),
-        ("time", "Enter 9:05 as the time.", "09:05", "9:05"),
-        ("text", "Search for movies by Russo from 1974.", "russo ", "Russo"),
-        ("text", "Choose ok or Ok.", "Ok", "Ok"),
-    ],
-)
-def test_what_a_field_holds_is_copied_from_the_words_that_stand_for_it(
-    tmp_path: Path, kind: str, utterance: str, held: str, words: str
-) -> None:
-    tape = Tape(body(element(f"INPUT_{kind}", 4, value="", text=""), element("BUTTON", 6, text="ok")), utterance)
-    tape.click(4)
-    tape.type(4, held)
-    tape.click(6)
-    assert deeds(done(tape, tmp_path)) == [("TYPE", 4, words), ("CLICK", 6, "")]
-
-
-@pytest.mark.parametrize("held", ["2019-08-02", "Rus", "russo from", "07:16"])
-def test_words_that_only_resemble_what_a_field_holds_do_not_stand_for_it(tmp_path: Path, held: str) -> None:
-    tape = Tape(form(), "Enter 02/08/2019, 7:16 PM and Russo.")
-    tape.type(5, held)
-    tape.click(6)
-    assert refused(tape, tmp_path) == "text not in instruction"
-
-
 def test_a_failure_keeps_the_letters_that_were_typed_not_those_that_were_asked_for(tmp_path: Path) -> None:
     tape = Tape(form(), 'Enter "Ada" and press Submit.')
     tape.type(5, "ada")
