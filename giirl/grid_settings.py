@@ -81,8 +81,8 @@ def held_out_pairs(seed: int) -> Config:
 def held_out_of_three(seed: int, rename: float) -> Config:
     """Three colours and 4 of their 6 ordered pairs; `rename` of what the reward learns from has its colours swapped.
 
-    Without it four sentences cannot tell three goals and three things to avoid apart: as a graph of 6 words with 4
-    edges they fall into two parts, and what the words of one part share may be credited to either of them.
+    Four sentences do not settle what each of six words means: "to red" is only ever said with "avoid blue". Either the
+    nets' own preference for simple readings settles it, or that colours are alike, which is what `rename` tells them.
     """
     whole = joint(seed)
     quick = _quick(whole, dataclasses.replace(whole.grid, held_out=UNSEEN_OF_THREE))
