@@ -41,6 +41,11 @@ class Metrics:
         self.policy_lag = self._histogram("giirl_policy_lag", "Versions a trajectory's policy is behind", LAGS)
         self.reward_lag = self._histogram("giirl_reward_lag", "Versions a trajectory's reward is behind", LAGS)
 
+        self.connections_refused = self._counter(
+            "giirl_connections_refused_total",
+            "Connections turned away, as with a wrong key or none",
+            "socket",
+        )
         self.weights_refused = self._counter(
             "giirl_weights_refused_total", "Weights that were corrupt, older or unfit", "network"
         )

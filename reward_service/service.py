@@ -74,6 +74,7 @@ class RewardService:
         self._loaded: _Loaded | None = None  # replaced by one assignment; a batch reads it once
         self._loading = threading.Lock()
         self._queue: deque[_Request] = deque()
+        self._refusals = 0
         self._router = Router(host, port, keys=keys)
         self.address = self._router.address
 
@@ -114,6 +115,9 @@ class RewardService:
 
     def serve_once(self, timeout_s: float) -> None:
         """Wait for requests, then answer one batch."""
+        if (refusals := self._router.refusals) > self._refusals:
+            self._metrics.connections_refused.labels("scoring").inc(refusals - self._refusals)
+            self._refusals = refusals
         if not self._queue:
             with waiting(self._metrics, "score_requests"):
                 self._admit(timeout_s)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from giirl import delivery, wire
-from giirl.delivery import Grant
+from giirl.delivery import Before, Grant, Notice
 from giirl.metrics import Metrics
 from giirl.wire import Stamp, WireError
 from learner.admission import Admission, IngestLimits
@@ -19,21 +21,45 @@ from tests.wire.examples import assert_same_episode, episode
 class Learner:
     """An admission with a clock of versions, and the words to talk to it."""
 
-    def __init__(self, *, credits_: int = 4, max_lag: int = 8, held: Held | None = None) -> None:
+    def __init__(self, *, held: Held | None = None, **limits: int) -> None:
         self.version = 3
         self.metrics = Metrics()
+        self._notices = 0
         self.books = Admission(
             "run",
             lambda: self.version,
             reward_version=lambda: self.version,
-            limits=IngestLimits(credits=credits_, max_lag=max_lag),
+            limits=IngestLimits(**{"max_lag": 8, **limits}),
             metrics=self.metrics,
             held=held or Held(),
         )
 
-    def hello(self, base: int = 0, *, actor: str = "a", incarnation: int = 0, run: str = "run") -> str:
+    def hello(self, base: int = 0, **stated: Any) -> str:
+        return self.notice(delivery.HELLO, base, **stated)
+
+    def notice(
+        self,
+        kind: str,
+        base: int = 0,
+        *,
+        actor: str = "a",
+        incarnation: int = 0,
+        run: str = "run",
+        finished: int = 0,
+        full: bool = False,
+        before: Before = (),
+    ) -> str:
+        self._notices += 1
         stamp = Stamp(run=run, actor=actor, incarnation=incarnation, sequence=base)
-        return self._said(actor, delivery.encode_notice(delivery.HELLO, stamp))
+        said = Notice(
+            kind=kind,
+            stamp=stamp,
+            number=self._notices,
+            finished=max(base, finished),
+            full=full,
+            before=before,
+        )
+        return self._said(actor, delivery.encode_notice(said))
 
     def episode(
         self,
@@ -92,7 +118,7 @@ def test_whatever_the_order_and_however_often_each_episode_is_taken_once(arrival
 
 
 def test_credits_come_back_only_as_the_learner_takes() -> None:
-    learner = Learner(credits_=2)
+    learner = Learner(credits=2)
     learner.hello()
     assert learner.grant().limit == 2
     learner.episode(0)
@@ -107,7 +133,7 @@ def test_credits_come_back_only_as_the_learner_takes() -> None:
 
 
 def test_a_gap_holds_the_floor_but_not_the_credits() -> None:
-    learner = Learner(credits_=2)
+    learner = Learner(credits=2)
     learner.hello()
     learner.episode(1)
     learner.seeds(1)
@@ -160,7 +186,7 @@ def test_an_episode_too_many_versions_away_is_dropped_on_arrival(version: int, t
 
 
 def test_an_episode_that_grows_stale_in_the_queue_is_dropped_there_and_frees_its_credit() -> None:
-    learner = Learner(max_lag=2, credits_=2)
+    learner = Learner(max_lag=2, credits=2)
     learner.hello()
     learner.episode(0)
     assert learner.books.pull(2) is None  # taken out of the queue, and still waited with
@@ -172,12 +198,30 @@ def test_an_episode_that_grows_stale_in_the_queue_is_dropped_there_and_frees_its
     assert learner.grant().limit == 4
 
 
-def test_lock_step_takes_nothing_but_the_present_version() -> None:
-    learner = Learner(max_lag=0)
+def test_lock_step_takes_the_present_version_alone_each_page_once_and_in_an_order_of_its_own() -> None:
+    learner = Learner(max_lag=0, credits=8)
     learner.hello()
-    learner.episode(0, policy_version=2)
-    learner.episode(1, policy_version=3)
-    assert learner.seeds(1) == [1]
+    for sequence in (0, 3, 2):
+        learner.episode(sequence, policy_version=2 if sequence == 0 else 3)
+    learner.hello(actor="a", incarnation=1)  # plays its share again
+    for sequence in (2, 1):
+        learner.episode(sequence, incarnation=1)
+    assert learner.seeds(3) == [1, 2, 3]
+    assert (learner.dropped("stale"), learner.dropped("repeated")) == (1, 1)
+
+
+def test_a_queue_that_is_full_takes_nothing_more_until_it_has_room() -> None:
+    learner = Learner(credits=8, max_bytes=1)
+    learner.hello()
+    learner.hello(actor="b")
+    learner.episode(0)
+    assert learner.grant().limit == 1
+    learner.episode(0, actor="b")
+    assert learner.dropped("over_credit") == 1
+    assert learner.seeds(1) == [0]
+    assert learner.grant("b").limit == 8  # told to everyone, asked or not
+    learner.episode(0, actor="b")
+    assert learner.seeds(1) == [0]
 
 
 def test_malformed_messages_are_counted_and_forgotten() -> None:
@@ -246,8 +290,64 @@ def test_episodes_an_actor_no_longer_has_and_nobody_saw_are_counted_as_lost() ->
     assert learner.dropped("lost") == 3 + 2**40 - 4
 
 
+def test_what_a_dead_incarnation_had_finished_and_nobody_saw_is_counted_as_lost() -> None:
+    learner = Learner()
+    learner.hello()
+    learner.episode(0)
+    learner.episode(2)
+    learner.hello(incarnation=3, before=((0, 5), (2, 4)))
+    assert learner.dropped("lost") == 3 + 4
+    learner.hello(incarnation=3, before=((0, 5), (2, 4)))  # said again, counted once
+    assert learner.dropped("lost") == 7
+
+
+def test_without_its_successors_word_the_last_of_its_own_counts() -> None:
+    learner = Learner()
+    learner.hello(finished=6)
+    learner.episode(0)
+    learner.hello(incarnation=1)
+    assert learner.dropped("lost") == 5
+
+
+def test_an_actor_that_says_good_bye_leaves_nothing_unaccounted() -> None:
+    learner = Learner()
+    learner.hello()
+    learner.episode(1)
+    learner.notice(delivery.BYE, finished=4)
+    assert learner.dropped("lost") == 3
+    assert learner.books.silent_for_s("a") == float("inf")
+    learner.hello(incarnation=1, before=((0, 4),))
+    assert learner.dropped("lost") == 3
+
+
+def test_what_was_counted_since_a_checkpoint_is_counted_again_by_who_goes_back_to_it() -> None:
+    learner = Learner()
+    learner.hello()
+    learner.episode(0)
+    held = learner.books.snapshot()
+    learner.hello(incarnation=1, before=((0, 3),))
+    assert learner.books.snapshot().counts == {"lost": 2}
+    resumed = Learner(held=held)
+    resumed.hello(incarnation=2, before=((0, 3), (1, 1)))
+    assert resumed.books.snapshot().counts == {"lost": 3}
+    assert resumed.grant().settled == 0  # both may be asked for again
+    resumed.books.commit(resumed.books.snapshot())
+    assert resumed.grant().settled == 2
+
+
+def test_an_actor_that_keeps_too_much_asks_for_a_checkpoint_that_frees_it() -> None:
+    learner = Learner()
+    learner.hello(full=True)
+    assert not learner.books.wants_commit  # none would help
+    learner.episode(0)
+    learner.notice(delivery.BEAT, full=True, finished=1)
+    assert learner.books.wants_commit
+    learner.books.commit(learner.books.snapshot())
+    assert not learner.books.wants_commit
+
+
 def test_received_is_dropped_plus_taken_plus_queued() -> None:
-    learner = Learner(credits_=3, max_lag=1)
+    learner = Learner(credits=3, max_lag=1)
     learner.hello()
     learner.hello(actor="b", incarnation=1)
     for sequence, version in enumerate((3, 1, 3, 2, 3)):
@@ -278,8 +378,22 @@ def test_limits_that_let_nothing_in_are_refused() -> None:
 
 
 def test_a_grant_that_lacks_a_number_is_a_wire_error() -> None:
-    whole, _ = wire.decode(delivery.encode_grant(Grant(incarnation=1, floor=2, committed=0, limit=5)))
-    assert delivery.read_grant(whole) == Grant(incarnation=1, floor=2, committed=0, limit=5)
+    whole, _ = wire.decode(
+        delivery.encode_grant(Grant(incarnation=1, notice=7, floor=2, committed=0, settled=1, limit=5))
+    )
+    assert delivery.read_grant(whole) == Grant(incarnation=1, notice=7, floor=2, committed=0, settled=1, limit=5)
     for name in set(whole) - {"kind"}:
         with pytest.raises(WireError, match=name):
             delivery.read_grant({**whole, name: "1"})
+
+
+def test_a_notice_that_lacks_something_or_says_the_impossible_is_a_wire_error() -> None:
+    stamp = Stamp(run="run", actor="a", incarnation=2, sequence=1)
+    notice = Notice(kind=delivery.BEAT, stamp=stamp, number=3, finished=4, full=True, before=((0, 5), (1, 0)))
+    whole, _ = wire.decode(delivery.encode_notice(notice))
+    assert delivery.read_notice(whole, stamp) == notice
+    wrong = [{name: None} for name in ("number", "finished", "full", "before")]
+    wrong += [{"finished": 0}, {"number": -1}, {"before": [[2, 1]]}, {"before": [[0, -1]]}, {"before": [[0, 1, 2]]}]
+    for change in wrong:
+        with pytest.raises(WireError):
+            delivery.read_notice({**whole, **change}, stamp)
