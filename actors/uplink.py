@@ -15,6 +15,7 @@ from giirl.wire import Stamp, WireError
 
 LOG = logging.getLogger(__name__)
 WAIT_S = 0.02
+RECONNECT_S = 0.02  # before looking again whether there is a connection
 
 
 class Refused(RuntimeError):
@@ -138,7 +139,7 @@ class Uplink:
         """This learner knows nothing of us, and we nothing of what it has judged."""
         self._known, self._limit = False, 0
         self._hailed = self._notices  # grants that answer earlier notices are of another learner
-        self._told_s = self._said_s = float("-inf")
+        self._told_s = self._said_s = self._cut_until_s = float("-inf")
         kept = sorted({**self._judged, **self._waiting}.items())
         self._judged.clear()
         self._waiting.clear()
@@ -184,6 +185,8 @@ class Uplink:
 
     def _speak(self) -> None:
         now_s = time.monotonic()
+        if now_s < self._cut_until_s:
+            return
         in_flight = any(copy.after is not None for copy in self._waiting.values())
         if not self._known:
             if now_s - self._told_s >= self._limits.hello_s:
@@ -207,8 +210,12 @@ class Uplink:
             full=self._leaving or 2 * self._kept_bytes >= self._limits.max_kept_bytes,
             before=self._tally.before,
         )
-        self._notices += self._dealer.send(delivery.encode_notice(notice))
-        self._told_s = self._said_s = time.monotonic()
+        now_s = time.monotonic()
+        if self._dealer.send(delivery.encode_notice(notice)):
+            self._notices += 1
+            self._told_s = self._said_s = now_s
+        else:
+            self._cut_until_s = now_s + RECONNECT_S
 
     def _outlast(self, copies: dict[int, _Copy], timeout_s: float) -> bool:
         deadline_s = time.monotonic() + timeout_s

@@ -11,7 +11,7 @@ from actors.choosers import NetChooser
 from actors.rollouts import Schedule, play
 from actors.uplink import Uplink
 from giirl.metrics import Metrics, waiting
-from giirl.scoring import ScoreClient
+from giirl.score_client import ScoreClient
 from giirl.spec import UNSCORED, Browser, Episode, Weights
 
 PAUSE_S = 0.005  # between two looks at the sockets while the learner takes nothing

@@ -18,7 +18,7 @@ from giirl.language import load_vectors
 from giirl.metrics import Metrics
 from giirl.reward import build_policy, build_reward
 from giirl.run_browser import open_browser
-from giirl.scoring import ScoreClient
+from giirl.score_client import ScoreClient
 from giirl.spec import Purpose, Weights
 from giirl.transport import Keys
 from reward_service.service import RewardService, Scorer

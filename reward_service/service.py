@@ -186,7 +186,7 @@ class RewardService:
             first += len(part)
             self._reply(
                 request,
-                ScoreReply(request=request.number, rewards=share, version=loaded.version),
+                ScoreReply(request=request.number, rewards=share, version=loaded.version, backlog=len(self._queue)),
                 result="ok",
             )
 
@@ -199,7 +199,7 @@ class RewardService:
                 self._answer([entry])
 
     def _refuse(self, request: _Request, error: str, *, result: str) -> None:
-        self._reply(request, ScoreReply(request=request.number, error=error), result=result)
+        self._reply(request, ScoreReply(request=request.number, error=error, backlog=len(self._queue)), result=result)
 
     def _reply(self, request: _Request, reply: ScoreReply, *, result: str) -> None:
         sent = self._router.send(request.peer, encode_reply(reply))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giirl.metrics import Metrics
-from giirl.scoring import ScoreClient
+from giirl.score_client import ScoreClient
 from giirl.spec import Trajectory, Weights
 from reward_service.service import RewardService, Scorer
 from tests.wire.examples import episode
