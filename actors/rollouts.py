@@ -25,8 +25,6 @@ from giirl.spec import (
     page_seed,
 )
 
-NO_REF = -(2**31)  # no element has it: such a command does nothing
-
 
 class Schedule:
     """Which episode each tab plays next: tabs keep to their tasks, tasks get equal shares of the tabs.
@@ -139,9 +137,7 @@ def _open(seen: Observation, schedule: Schedule, tab: int) -> Slot:
 
 def _commands(slots: Mapping[int, Slot], chooser: Chooser, step_limit: int) -> dict[int, Command]:
     """A batched choice for all tabs. A page with nothing to act on ends its episode."""
-    commands = {
-        tab: Command(verb=Verb.CLICK, ref=NO_REF, last=True, following=slot.following) for tab, slot in slots.items()
-    }
+    commands = {tab: Command(verb=Verb.WAIT, last=True, following=slot.following) for tab, slot in slots.items()}
     playable = {tab: slot for tab, slot in slots.items() if slot.seen.page.leaf.any()}
     if playable:
         uniform = np.stack([slot.draw.random(3, dtype=np.float32) for slot in playable.values()])
@@ -159,13 +155,7 @@ def _command(slot: Slot, choice: Choice, step_limit: int) -> Command:
     slot.logp.append(choice.logp)
     if slot.version is None:
         slot.version = choice.version
-    return Command(
-        verb=Verb(action.verb),
-        ref=int(page.ref[action.element]),
-        text=action.text(slot.seen.goal),
-        last=len(slot.pages) >= step_limit,
-        following=slot.following,
-    )
+    return Command.of(action, slot.seen, last=len(slot.pages) >= step_limit, following=slot.following)
 
 
 def _close(slot: Slot, outcome: Outcome) -> Episode:

@@ -5,13 +5,8 @@
 
   const FOREVER_MS = 2147483647;  // the longest a timer may wait; the step limit is the farm's
   const IMAGES_MS = 2000;
-  const FURNITURE = new Set(['query', 'reward-display', 'sync-task-cover', 'click-canvas', 'attention-canvas']);
-  const MUTE = new Set(['script', 'style', 'br', 'head', 'link', 'meta', 'title', 'template', 'noscript']);
 
   let open = false;            // an episode was started in this document
-  let tampered = new WeakSet();
-  let refs = new WeakMap();    // node -> ref
-  let nodes = [null];          // ref -> node
 
   // A hidden tab draws no frames, so an animation would stand still for ever.
   window.requestAnimationFrame = (frame) => setTimeout(() => frame(performance.now()), 16);
@@ -78,129 +73,12 @@
     tell(after, [['focus', false], ['focusin', true]], before);
   }
 
-
-  window.addEventListener('click', (event) => { tampered.add(event.target); }, true);
   // A form sent or a link followed would leave the page in the middle of the next episode.
   window.addEventListener('submit', (event) => event.preventDefault());
   window.addEventListener('click', (event) => {
     const link = event.target.closest ? event.target.closest('a[href]') : null;
     if (link && !/^(#|javascript:)/i.test(link.getAttribute('href'))) event.preventDefault();
   });
-
-  // ---- reading
-
-  function refOf(node) {
-    let ref = refs.get(node);
-    if (ref === undefined) {
-      ref = nodes.push(node) - 1;
-      refs.set(node, ref);
-    }
-    return ref;
-  }
-
-  const flat = (text) => text.replace(/\s+/g, ' ').trim().toWellFormed();
-
-  function valueOf(element) {
-    if (element instanceof HTMLInputElement) {
-      if (element.type === 'checkbox' || element.type === 'radio') return element.checked ? 'checked' : '';
-      return element.value.toWellFormed();
-    }
-    if (element instanceof HTMLTextAreaElement || element instanceof HTMLSelectElement) {
-      return element.value.toWellFormed();
-    }
-    return element instanceof HTMLOptionElement && element.selected ? 'checked' : '';
-  }
-
-  function walk() {
-    const tag = [], text = [], value = [], classes = [], numbers = [], boxes = [];
-    const active = document.activeElement;
-
-    function row(node, parent, name, words, box) {
-      const bare = name === 't';
-      tag.push(name);
-      text.push(words);
-      value.push(bare ? '' : valueOf(node));
-      classes.push(bare ? '' : node.getAttribute('class') || '');
-      numbers.push(refOf(node), parent, (node === active ? 1 : 0) | (tampered.has(node) ? 2 : 0));
-      boxes.push(box.left, box.top, box.width, box.height);
-      return tag.length - 1;
-    }
-
-    // One row for each line the text takes, as a reader sees it.
-    function textRows(node, parent) {
-      const range = document.createRange();
-      range.selectNodeContents(node);
-      const rects = range.getClientRects();
-      if (rects.length === 1) {
-        if (rects[0].width > 0 && rects[0].height > 0) row(node, parent, 't', flat(node.data), rects[0]);
-        return;
-      }
-      let line = null;
-      const end = () => { if (line) row(node, parent, 't', flat(line.words.join(' ')), line.box()); };
-      for (const word of node.data.matchAll(/\S+/g)) {
-        range.setStart(node, word.index);
-        range.setEnd(node, word.index + word[0].length);
-        const rect = range.getClientRects()[0];
-        if (!rect || rect.width === 0 || rect.height === 0) continue;
-        if (!line || Math.abs(line.top - rect.top) > 1) {
-          end();
-          line = new Line(rect);
-        }
-        line.words.push(word[0]);
-        line.right = Math.max(line.right, rect.right);
-      }
-      end();
-    }
-
-    function options(select, parent) {
-      // A closed list shows nothing of its options, yet a person can choose each of them.
-      const box = select.getBoundingClientRect();
-      for (const option of select.options) {
-        const rect = option.getBoundingClientRect();
-        row(option, parent, 'option', flat(option.text), rect.width > 0 && rect.height > 0 ? rect : box);
-      }
-    }
-
-    function visit(element, parent) {
-      const name = element.localName.toLowerCase();
-      if (MUTE.has(name) || FURNITURE.has(element.id)) return;
-      const box = element.getBoundingClientRect();
-      if (box.width === 0 || box.height === 0) return;
-      const input = element instanceof HTMLInputElement;
-      const leaf = element.firstElementChild === null;
-      let here = parent;
-      if (element.id !== 'wrap') {
-        here = row(element, parent, input ? 'input_' + element.type : name,
-          leaf && !input && name !== 'textarea' ? flat(element.textContent) : '', box);
-      }
-      if (element instanceof HTMLSelectElement) options(element, here);
-      else if (!leaf || element.id === 'wrap') children(element, here);
-    }
-
-    function children(element, parent) {
-      for (let node = element.firstChild; node !== null; node = node.nextSibling) {
-        if (node.nodeType === 1) visit(node, parent);
-        else if (node.nodeType === 3 && /\S/.test(node.data)) textRows(node, parent);
-      }
-    }
-
-    children(document.body, -1);
-    return [tag, text, value, classes, numbers, boxes];
-  }
-
-  class Line {
-    constructor(rect) {
-      this.words = [];
-      this.left = rect.left;
-      this.top = rect.top;
-      this.right = rect.right;
-      this.height = rect.height;
-    }
-
-    box() {
-      return { left: this.left, top: this.top, width: this.right - this.left, height: this.height };
-    }
-  }
 
   // ---- episodes
 
@@ -221,7 +99,7 @@
 
   function utterance() {
     const said = core.getUtterance();
-    return flat(String(typeof said === 'object' && said !== null ? said.utterance : said));
+    return reading.flat(String(typeof said === 'object' && said !== null ? said.utterance : said));
   }
 
   function start(seed) {
@@ -230,9 +108,8 @@
       document.activeElement.blur();  // once for what is pressed, once for what has the real focus
     }
     gestures.forget();
-    tampered = new WeakSet();
-    refs = new WeakMap();
-    nodes = [null];
+    keyboard.forget();
+    reading.forget();
     core.setDataMode('train');
     Math.seedrandom(seed);
     core.startEpisodeReal();
@@ -253,7 +130,7 @@
   let waited = null;  // the answer that step() could not give at once
 
   function opened(seed, reward, done) {
-    const reply = () => JSON.stringify([reward, done, walk(), utterance()]);
+    const reply = () => JSON.stringify([reward, done, reading.walk(), utterance()]);
     const wait = start(seed);
     if (wait === null) return reply();
     waited = wait.then(reply);
@@ -261,11 +138,13 @@
   }
 
   // seed is null when no episode of this task follows.
-  function step(verb, ref, text, last, seed) {
-    gestures.act(verb, nodes[ref], text);
+  function step([verb, ref, text, x, y, dx, dy, to], last, seed) {
+    gestures.act({
+      verb, text, node: reading.nodeOf(ref), at: { x, y }, by: { x: dx, y: dy }, to: reading.nodeOf(to),
+    });
     const done = WOB_DONE_GLOBAL === true;
     const reward = done ? Number(WOB_RAW_REWARD_GLOBAL) || 0 : 0;
-    if (!done && !last) return JSON.stringify([reward, done, walk(), null]);
+    if (!done && !last) return JSON.stringify([reward, done, reading.walk(), null]);
     open = false;
     return seed === null ? JSON.stringify([reward, done, null, null]) : opened(seed, reward, done);
   }

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from browser_farm.miniwob import needs_fresh_document
+from giirl import keys
 from giirl.spec import Command, EpisodeSpec, Goal, Page
 
 FOCUSED = 1
@@ -18,14 +19,16 @@ TAMPERED = 2
 GONE = "gone"  # what a document without an open episode answers
 WAIT = "wait"  # the page is still loading: LATER has the answer
 LATER = "giirl.later()"
+SCRIPTS = ("keyboard", "gestures", "reading", "page")
 
 
 @functools.cache
 def script() -> str:
     """The source that Chrome runs in every document before the page's own scripts."""
     here = Path(__file__)
-    parts = [here.with_name(name).read_text(encoding="utf-8") for name in ("gestures.js", "page.js")]
-    return "(() => {\n" + "\n".join(parts) + "\n})();\n"
+    parts = [here.with_name(f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS]
+    codes = json.dumps({**keys.NAMED, **keys.CODES})
+    return f"(() => {{\nconst KEY_CODES = {codes};\n" + "\n".join(parts) + "\n})();\n"
 
 
 def start_call(episode: EpisodeSpec) -> str:
@@ -37,10 +40,8 @@ def step_call(command: Command, task: str) -> str:
     following = command.following
     stays = following is not None and following.task == task and not needs_fresh_document(task)
     seed = following.seed if following is not None and stays else None
-    step = (
-        f"giirl.step({int(command.verb)},{command.ref},{json.dumps(command.text)},"
-        f"{json.dumps(command.last)},{json.dumps(seed)})"
-    )
+    action = [int(command.verb), command.ref, command.text, *command.at, *command.by, command.to]
+    step = f"giirl.step({json.dumps(action)},{json.dumps(command.last)},{json.dumps(seed)})"
     return f"window.giirl&&giirl.isOpen()?{step}:'{GONE}'"
 
 
@@ -66,7 +67,7 @@ def decode(text: str) -> Answer:
 
 
 def decode_page(columns: list[Any]) -> Page:
-    tag, text, value, classes, numbers, boxes = columns
+    tag, text, value, classes, numbers, boxes, looks = columns
     table = np.array(numbers, dtype=np.int32).reshape(-1, 3)
     flags = table[:, 2]
     return Page(
@@ -79,4 +80,15 @@ def decode_page(columns: list[Any]) -> Page:
         box=np.array(boxes, dtype=np.float32).reshape(-1, 4),
         focused=(flags & FOCUSED) != 0,
         tampered=(flags & TAMPERED) != 0,
+        colour=_scattered(looks[::3], looks[1::3], len(tag)),
+        shape=_scattered(looks[::3], looks[2::3], len(tag)),
     )
+
+
+def _scattered(rows: list[int], values: list[str], count: int) -> tuple[str, ...]:
+    if not rows:
+        return ()
+    column = [""] * count
+    for row, value in zip(rows, values, strict=True):
+        column[row] = value
+    return tuple(column)

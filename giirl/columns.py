@@ -19,7 +19,7 @@ Column: TypeAlias = NDArray[Any]
 Columns: TypeAlias = dict[str, Column]
 T = TypeVar("T")
 
-TEXTS = ("tag", "text", "value", "classes")
+TEXTS = ("tag", "text", "value", "classes", "colour", "shape")
 PER_TRAJECTORY: dict[str, tuple[str, tuple[int, ...]]] = {"steps": ("<u4", ())}
 PER_STEP: dict[str, tuple[str, tuple[int, ...]]] = {
     "rows": ("<u4", ()),
@@ -27,6 +27,10 @@ PER_STEP: dict[str, tuple[str, tuple[int, ...]]] = {
     "element": ("<i4", ()),
     "start": ("<i4", ()),
     "end": ("<i4", ()),
+    "to": ("<i4", ()),
+    "at": ("<f8", (2,)),
+    "by": ("<f8", (2,)),
+    "literal": ("<u4", ()),
     "behaviour_logp": ("<f4", ()),
     "rewards": ("<f4", ()),
 }
@@ -54,12 +58,15 @@ def pack(trajectories: Sequence[Trajectory]) -> Columns:
         "element": _column("element", [action.element for action in actions]),
         "start": _column("start", [action.start for action in actions]),
         "end": _column("end", [action.end for action in actions]),
+        "to": _column("to", [action.to for action in actions]),
+        "at": _column("at", [action.at for action in actions]).reshape(-1, 2),
+        "by": _column("by", [action.by for action in actions]).reshape(-1, 2),
         "behaviour_logp": _joined("behaviour_logp", [t.behaviour_logp for t in trajectories]),
         "rewards": _joined("rewards", [t.rewards for t in trajectories]),
     }
     for name in ("ref", "parent", "box", "focused", "tampered"):
         columns[name] = _joined(name, [getattr(page, name) for page in pages])
-    columns |= _pack_strings(pages)
+    columns |= _pack_strings(pages, actions)
     _check_shapes(columns)
     _check_finite(columns)
     return columns
@@ -73,8 +80,9 @@ def unpack(columns: Mapping[str, Column], heads: Sequence[Mapping[str, object]])
     _check_shapes(columns)
     _check_finite(columns)
     step_ends = _ends("steps", columns, count=len(heads), total=len(columns["rows"]), of="steps")
-    actions = _unpack_actions(columns)
-    pages = _unpack_pages(columns)
+    strings = _unpack_strings(columns)
+    actions = _unpack_actions(columns, strings)
+    pages = _unpack_pages(columns, strings)
     trajectories = []
     for head, (first, last) in zip(heads, _spans(step_ends), strict=True):
         trajectories.append(
@@ -122,7 +130,7 @@ def flat(columns: Mapping[str, Column], dtypes: Mapping[str, str]) -> list[Colum
     return [columns[name] for name in dtypes]
 
 
-def _column(name: str, values: Sequence[int]) -> Column:
+def _column(name: str, values: Sequence[int | tuple[float, float]]) -> Column:
     return np.array(values, dtype=np.dtype(SCHEMA[name][0]))
 
 
@@ -133,11 +141,14 @@ def _joined(name: str, parts: Sequence[Column]) -> Column:
     return np.concatenate(parts, dtype=np.dtype(dtype), casting="same_kind")
 
 
-def _pack_strings(pages: Sequence[Page]) -> Columns:
+def _pack_strings(pages: Sequence[Page], actions: Sequence[Action]) -> Columns:
     numbers: dict[str, int] = {}
     columns: Columns = {}
-    for name in TEXTS:
-        strings = list(chain.from_iterable(getattr(page, name) for page in pages))
+    for name in (*TEXTS, "literal"):
+        if name == "literal":
+            strings = [action.literal for action in actions]
+        else:
+            strings = list(chain.from_iterable(getattr(page, name) for page in pages))
         for string in dict.fromkeys(strings):
             numbers.setdefault(string, len(numbers))
         columns[name] = np.fromiter(map(numbers.__getitem__, strings), dtype=np.dtype("<u4"), count=len(strings))
@@ -156,23 +167,38 @@ def _unpack_strings(columns: Mapping[str, Column]) -> list[str]:
     return [blob[first:last] for first, last in _spans(ends)]
 
 
-def _unpack_actions(columns: Mapping[str, Column]) -> list[Action]:
+def _unpack_actions(columns: Mapping[str, Column], strings: Sequence[str]) -> list[Action]:
     verbs = columns["verb"]
     if len(verbs) and not bool(np.all(np.isin(verbs, list(Verb)))):
         raise ValueError(f"column 'verb' holds {int(verbs.max())}, wanted one of {[int(verb) for verb in Verb]}")
-    rows = zip(*(columns[name].tolist() for name in ("verb", "element", "start", "end")), strict=True)
-    return [Action(verb=Verb(verb), element=element, start=start, end=end) for verb, element, start, end in rows]
+    literals = _named("literal", columns, strings)
+    rows = zip(*(columns[name].tolist() for name in ("verb", "element", "start", "end", "to", "at", "by")), strict=True)
+    return [
+        Action(
+            verb=Verb(verb),
+            element=element,
+            start=start,
+            end=end,
+            to=to,
+            at=(at[0], at[1]),
+            by=(by[0], by[1]),
+            literal=literal,
+        )
+        for (verb, element, start, end, to, at, by), literal in zip(rows, literals, strict=True)
+    ]
 
 
-def _unpack_pages(columns: Mapping[str, Column]) -> list[Page]:
+def _named(name: str, columns: Mapping[str, Column], strings: Sequence[str]) -> tuple[str, ...]:
+    """The strings that a column names by number."""
+    numbers = columns[name]
+    if len(numbers) and int(numbers.max()) >= len(strings):
+        raise ValueError(f"column {name!r} names string {int(numbers.max())} of {len(strings)}")
+    return tuple(map(strings.__getitem__, numbers.tolist()))
+
+
+def _unpack_pages(columns: Mapping[str, Column], strings: Sequence[str]) -> list[Page]:
     row_ends = _ends("rows", columns, count=len(columns["rows"]), total=len(columns["ref"]), of="page rows")
-    strings = _unpack_strings(columns)
-    texts: dict[str, tuple[str, ...]] = {}
-    for name in TEXTS:
-        numbers = columns[name]
-        if len(numbers) and int(numbers.max()) >= len(strings):
-            raise ValueError(f"column {name!r} names string {int(numbers.max())} of {len(strings)}")
-        texts[name] = tuple(map(strings.__getitem__, numbers.tolist()))
+    texts = {name: _named(name, columns, strings) for name in TEXTS}
     if len(columns["parent"]) and int(columns["parent"].min()) < -1:
         raise ValueError(f"column 'parent' holds {int(columns['parent'].min())}, wanted -1 or a row")
     return [
@@ -181,6 +207,8 @@ def _unpack_pages(columns: Mapping[str, Column]) -> list[Page]:
             text=texts["text"][first:last],
             value=texts["value"][first:last],
             classes=texts["classes"][first:last],
+            colour=texts["colour"][first:last],
+            shape=texts["shape"][first:last],
             ref=columns["ref"][first:last].view(np.int32),
             parent=columns["parent"][first:last].view(np.int16),
             box=columns["box"][first:last].view(np.float32),
@@ -209,7 +237,7 @@ def _check_shapes(columns: Mapping[str, Column]) -> None:
 
 
 def _check_finite(columns: Mapping[str, Column]) -> None:
-    for name in ("behaviour_logp", "rewards", "box"):
+    for name in ("behaviour_logp", "rewards", "box", "at", "by"):
         if not bool(np.isfinite(columns[name]).all()):
             raise ValueError(f"column {name!r} holds a number that is not finite")
 

@@ -9,8 +9,9 @@ from torch import Tensor, nn
 
 from giirl.features import CLASSES, ELEMENT_FLAGS, TAGS, TOKEN_FLAGS, ActionBatch, Batch
 from giirl.language import PADDING, Vectors
-from giirl.spec import NO_SPAN, Verb
+from giirl.spec import LEARNED, NO_SPAN, Verb
 
+VERBS = len(LEARNED)  # CLICK and TYPE, which are 0 and 1: the nets go on learning these alone
 NEVER = -1e9  # the logit of what may not be chosen
 
 
@@ -107,7 +108,7 @@ class Policy(nn.Module):
     def __init__(self, vectors: Vectors, width: int = 64) -> None:
         super().__init__()
         self.encoder = Encoder(vectors, width)
-        self.act = nn.Sequential(nn.Linear(2 * width, width), nn.ReLU(), nn.Linear(width, len(Verb)))
+        self.act = nn.Sequential(nn.Linear(2 * width, width), nn.ReLU(), nn.Linear(width, VERBS))
         self.start = nn.Linear(2 * width, width)
         self.end = nn.Linear(2 * width, width)
         self.value = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 1))
@@ -143,7 +144,7 @@ class Policy(nn.Module):
         count = 1 if uniform is None else uniform.shape[1]
         pairs = _flatten(self._pairs(batch, seen).unsqueeze(1).expand(-1, count, -1), flat)
         pair = _draw(pairs, draws[0])
-        verb, element = pair % len(Verb), pair // len(Verb)
+        verb, element = pair % VERBS, pair // VERBS
         starts = _flatten(self._starts(batch, seen, element), flat)
         start = _draw(starts, draws[1])
         ends = _flatten(self._ends(batch, seen, element, start), flat)
@@ -170,7 +171,7 @@ class Policy(nn.Module):
         start, end = actions.start.clamp(min=0), actions.end.clamp(min=0)
         starts = self._starts(batch, seen, actions.element)
         ends = self._ends(batch, seen, actions.element, start)
-        logp = pairs.gather(1, actions.element * len(Verb) + actions.verb)
+        logp = pairs.gather(1, actions.element * VERBS + actions.verb)
         logp = logp + torch.where(typing, _at(starts, start) + _at(ends, end), 0.0)
         copied = torch.where(typing[:, 0], _entropy(starts[:, 0]) + _entropy(ends[:, 0]), 0.0)
         value: Tensor = self.value(seen.summary).squeeze(1)
@@ -183,7 +184,7 @@ class RewardNet(nn.Module):
     def __init__(self, vectors: Vectors, width: int = 64, dropout: float = 0.0) -> None:
         super().__init__()
         self.encoder = Encoder(vectors, width)
-        self.verb = nn.Embedding(len(Verb), 16)
+        self.verb = nn.Embedding(VERBS, 16)
         self.absent = nn.Parameter(torch.zeros(2, width))  # nothing typed; typed words that the goal lacks
         self.judge = nn.Sequential(
             nn.Linear(4 * width + 16, width), nn.ReLU(), nn.Dropout(dropout), nn.Linear(width, 1)

@@ -68,4 +68,6 @@ def chosen(episodes: list[Episode], config: Config, where: str) -> list[Episode]
             have = sorted({e.trajectory.task for e in episodes})
             raise ValueError(f"{where} has no successful demonstration of {task!r}; it has {', '.join(have) or 'none'}")
         kept += mine[: config.demos.per_task]
+    for episode in kept:
+        episode.trajectory.check_learned()
     return kept

@@ -59,7 +59,10 @@ def build_request(header: Header, arrays: Columns) -> list[Trajectory]:
     if not all(isinstance(head, dict) for head in heads):
         raise WireError("a score request has a head that is no set of fields")
     with wire.untrusted():
-        return cols.unpack(arrays, heads)
+        trajectories = cols.unpack(arrays, heads)
+        for trajectory in trajectories:
+            trajectory.check_learned()
+        return trajectories
 
 
 def encode_reply(reply: ScoreReply) -> list[bytes]:

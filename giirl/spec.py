@@ -3,26 +3,48 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from giirl.actions import LEARNED, NO_ELEMENT, NO_SPAN, TOKEN, USES, Action, Goal, Verb
+
+__all__ = [
+    "DEMONSTRATION",
+    "LEARNED",
+    "NO_ELEMENT",
+    "NO_REF",
+    "NO_SPAN",
+    "TOKEN",
+    "TYPABLE_TAGS",
+    "UNSCORED",
+    "USES",
+    "Action",
+    "Browser",
+    "Command",
+    "Episode",
+    "EpisodeSpec",
+    "Goal",
+    "Observation",
+    "Outcome",
+    "Page",
+    "Purpose",
+    "StepResult",
+    "Trajectory",
+    "TrajectorySource",
+    "Verb",
+    "Weights",
+    "page_seed",
+]
+
 TYPABLE_TAGS = frozenset({"input_text", "input_password", "input_email", "input_search", "input_number", "textarea"})
-NO_SPAN = -1
+NO_REF = 0  # Command.ref, .to: none of the page's elements
 UNSCORED = -1
 DEMONSTRATION = -1
-
-
-class Verb(IntEnum):
-    """What an action does to its element."""
-
-    CLICK = 0
-    TYPE = 1
 
 
 class Purpose(IntEnum):
@@ -68,10 +90,14 @@ class Page:
     box: NDArray[np.float32]  # [E, 4] left, top, width, height in CSS px
     focused: NDArray[np.bool_]  # [E]
     tampered: NDArray[np.bool_]  # [E] acted upon in this episode
+    colour: tuple[str, ...] = ()  # [E] what a drawing is filled with, or an element's own style; "" elsewhere
+    shape: tuple[str, ...] = ()  # [E] kind of a drawing and its corners in px, "triangle 10,40 20,20 30,40"
 
     def __post_init__(self) -> None:
         rows = len(self.tag)
-        for name in ("text", "value", "classes", "ref", "parent", "box", "focused", "tampered"):
+        for name in ("colour", "shape"):  # most pages draw nothing: () stands for a column of ""
+            object.__setattr__(self, name, getattr(self, name) or ("",) * rows)
+        for name in ("text", "value", "classes", "ref", "parent", "box", "focused", "tampered", "colour", "shape"):
             if len(getattr(self, name)) != rows:
                 raise ValueError(f"Page.{name} has {len(getattr(self, name))} rows, Page.tag has {rows}")
         if self.box.shape != (rows, 4):
@@ -95,55 +121,6 @@ class Page:
         return np.array([tag in TYPABLE_TAGS for tag in self.tag], dtype=np.bool_)
 
 
-TOKEN = re.compile(r"\w+|[^\w\s]")
-
-
-@dataclass(frozen=True, slots=True)
-class Goal:
-    """An instruction in English, cut into words and single punctuation marks; case is kept."""
-
-    utterance: str
-    tokens: tuple[str, ...] = field(init=False, compare=False)  # [L]
-    offsets: tuple[tuple[int, int], ...] = field(init=False, compare=False)  # [L] characters, end excluded
-
-    def __post_init__(self) -> None:
-        matches = list(TOKEN.finditer(self.utterance))
-        if not matches:
-            raise ValueError(f"a goal needs at least one word, got {self.utterance!r}")
-        object.__setattr__(self, "tokens", tuple(m.group() for m in matches))
-        object.__setattr__(self, "offsets", tuple(m.span() for m in matches))
-
-    def span(self, start: int, end: int) -> str:
-        """The instruction's own characters from token `start` to token `end`, both included."""
-        return self.utterance[self.offsets[start][0] : self.offsets[end][1]]
-
-    def find(self, text: str) -> tuple[int, int]:
-        """The first token span that reads exactly `text`, preferring one in quotes; (-1, -1) when there is none."""
-        wanted = tuple(m.group() for m in TOKEN.finditer(text))
-        spans = [
-            (start, start + len(wanted) - 1)
-            for start in range(len(self.tokens) - len(wanted) + 1)
-            if wanted and self.tokens[start : start + len(wanted)] == wanted
-        ]
-        spans = [span for span in spans if self.span(*span) == text]
-        quoted = [span for span in spans if self.tokens[span[0] - 1 : span[0]] == ('"',)]
-        return (quoted or spans or [(NO_SPAN, NO_SPAN)])[0]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Action:
-    """What the policy chose: a verb, a row of the page, and for TYPE the words of the goal to copy."""
-
-    verb: Verb
-    element: int  # row of the page
-    start: int = NO_SPAN  # token of the goal, -1 where nothing is typed or the text is not in the goal
-    end: int = NO_SPAN  # token of the goal, included
-
-    def text(self, goal: Goal) -> str:
-        """The text to type, "" for a click."""
-        return goal.span(self.start, self.end) if self.verb is Verb.TYPE and self.start >= 0 else ""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observation:
     """A page and the instruction that came with it."""
@@ -155,13 +132,33 @@ class Observation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Command:
-    """One step of one tab: act, then go on to another episode when this one is over."""
+    """One step of one tab: act, then go on to another episode when this one is over. Fields as in Action."""
 
     verb: Verb
-    ref: int  # Page.ref of the element
-    text: str = ""  # what to type
+    ref: int = NO_REF  # Page.ref of the element, 0 for none
+    text: str = ""  # what to type, or the key to press
+    at: tuple[float, float] = (0.0, 0.0)  # CSS px
+    by: tuple[float, float] = (0.0, 0.0)  # CSS px
+    to: int = NO_REF  # Page.ref of where a DRAG ends
     last: bool = False  # the step limit: end the episode even if the page does not
     following: EpisodeSpec | None = None  # what to open next; None leaves the tab idle
+
+    @classmethod
+    def of(
+        cls, action: Action, seen: Observation, *, last: bool = False, following: EpisodeSpec | None = None
+    ) -> Command:
+        """An action on what was seen, in the browser's words."""
+        refs = seen.page.ref
+        return cls(
+            verb=action.verb,
+            ref=int(refs[action.element]) if action.element >= 0 else NO_REF,
+            text=action.text(seen.goal),
+            at=action.at,
+            by=action.by,
+            to=int(refs[action.to]) if action.to >= 0 else NO_REF,
+            last=last,
+            following=following,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -208,16 +205,26 @@ class Trajectory:
             if len(getattr(self, name)) != steps:
                 raise ValueError(f"Trajectory.{name} has {len(getattr(self, name))} steps, .pages has {steps}")
         for t, (page, action) in enumerate(zip(self.pages, self.actions, strict=True)):
-            if not 0 <= action.element < len(page):
-                raise ValueError(f"step {t} acts on element {action.element} of a page with {len(page)}")
-            none = action.start == action.end == NO_SPAN
-            if not none and not 0 <= action.start <= action.end < len(self.goal.tokens):
+            if max(action.element, action.to) >= len(page):
+                raise ValueError(
+                    f"step {t} acts on element {max(action.element, action.to)} of a page with {len(page)}"
+                )
+            if action.end >= len(self.goal.tokens):
                 raise ValueError(
                     f"step {t} copies words {action.start}..{action.end} of a goal with {len(self.goal.tokens)}"
                 )
 
     def __len__(self) -> int:
         return len(self.pages)
+
+    def check_learned(self) -> None:
+        """ValueError when a step is more than the nets can express."""
+        for t, action in enumerate(self.actions):
+            if not action.learned:
+                raise ValueError(
+                    f"{self.task} with seed {self.seed}, step {t} is {action.verb.name} {action.literal!r:.40} on row "
+                    f"{action.element}: the nets learn only clicks on rows and typing words of the goal"
+                )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -25,7 +25,7 @@ from giirl.columns import Column, Columns, take
 from giirl.files import whole_file
 from giirl.spec import Episode, Outcome
 
-SCHEMA = 1
+SCHEMA = 2
 MAGIC = b"GIRL"
 PREFIX = struct.Struct("<4sHI")  # magic, schema, checksum
 MAX_BYTES = 64 << 20
@@ -33,7 +33,7 @@ MAX_HEADER_BYTES = 1 << 20
 MAX_FRAMES = 64
 MAX_DIMS = 4
 DTYPES = frozenset({"|b1", "|i1", "|u1", "<i2", "<i4", "<i8", "<u2", "<u4", "<u8", "<f4", "<f8"})
-FILE_MAGIC = b"giirl episodes 1\n"
+FILE_MAGIC = b"giirl episodes 2\n"
 COUNT = struct.Struct("<I")
 
 Header = dict[str, Any]

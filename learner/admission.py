@@ -204,6 +204,8 @@ class Admission:
             episode = wire.build_episode(header, arrays)
             if episode.trajectory.policy_version <= DEMONSTRATION:
                 raise WireError(f"a rollout has policy version {episode.trajectory.policy_version}")
+            with wire.untrusted():
+                episode.trajectory.check_learned()
         except WireError as error:
             LOG.warning("dropped episode %d of %s: %s", stamp.sequence, stamp.actor, error)
             return self._drop("invalid")

@@ -7,67 +7,16 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
-from pathlib import Path
 
 import psutil
 import pytest
 
-from browser_farm import reaper
 from browser_farm.experts import EXPERTS, expert
-from browser_farm.farm import ChromeFarm
 from browser_farm.miniwob import STICKY
-from giirl.spec import Command, EpisodeSpec, Observation, StepResult, Verb
+from giirl.spec import Command, EpisodeSpec, StepResult, Verb
+from tests.farm.real_farm import Farm, click, seen
 
 pytestmark = pytest.mark.chrome
-
-
-class Farm:
-    """A farm and the causes that it has told so far."""
-
-    def __init__(self) -> None:
-        self.causes: list[str] = []
-        self.chrome = ChromeFarm(tabs=3, call_timeout_s=4.0, on_restart=self.causes.append)
-
-    def open(self, task: str, *seeds: int) -> dict[int, Observation]:
-        return self.chrome.reset({tab: EpisodeSpec(task=task, seed=seed) for tab, seed in enumerate(seeds)})
-
-    def run(self, tab: int, script: str) -> None:
-        self.chrome._tabs.evaluate({tab: f"{script};'ok'"})
-
-    def on_click(self, tab: int, script: str) -> None:
-        self.run(tab, f"document.body.addEventListener('mousedown', () => {{ {script} }}, {{once: true}})")
-
-    def pids(self) -> set[int]:
-        return reaper.processes(Path(self.chrome.chrome_directory))
-
-
-@pytest.fixture(scope="module")
-def shared() -> Iterator[Farm]:
-    farm = Farm()
-    yield farm
-    farm.chrome.close()
-
-
-@pytest.fixture
-def farm(shared: Farm) -> Farm:
-    shared.causes.clear()
-    return shared
-
-
-def click(observation: Observation, row: int, *, seed: int | None = 900, last: bool = False) -> Command:
-    task = observation.episode.task
-    following = None if seed is None else EpisodeSpec(task=task, seed=seed)
-    ref = int(observation.page.ref[row])
-    return Command(verb=Verb.CLICK, ref=ref, last=last, following=following)
-
-
-def seen(observation: Observation | None) -> tuple[object, ...]:
-    assert observation is not None
-    page = observation.page
-    strings = (observation.goal.utterance, page.tag, page.text, page.value, page.classes)
-    arrays = (page.ref, page.parent, page.box, page.focused, page.tampered)
-    return (*strings, *(array.tobytes() for array in arrays))
 
 
 def play_anything(farm: Farm, task: str, steps: int) -> None:
@@ -161,7 +110,7 @@ def test_a_list_that_is_closed_still_lets_its_options_be_chosen(farm: Farm) -> N
 
 def test_a_handle_that_is_not_on_the_page_does_nothing(farm: Farm) -> None:
     before = farm.open("click-test-2", 3)[0]
-    for ref in (0, -5, 12345):
+    for ref in (-5, 12345):
         command = Command(verb=Verb.CLICK, ref=ref, following=EpisodeSpec(task="click-test-2", seed=4))
         result = farm.chrome.step({0: command})[0]
         assert (result.done, result.lost, seen(result.observation)) == (False, "", seen(before))

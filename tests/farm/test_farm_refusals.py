@@ -70,7 +70,7 @@ def test_an_answer_that_is_none_is_a_value_error(text: str) -> None:
 
 def test_an_answer_becomes_a_page_row_by_row() -> None:
     strings = '["p","input_text"],["hi",""],["","x"],["a b",""]'
-    answer = pages.decode(f'[0.5,true,[{strings},[1,-1,0,2,-1,3],[0,1,2,3,4,5,6,7.5]],"Go on."]')
+    answer = pages.decode(f'[0.5,true,[{strings},[1,-1,0,2,-1,3],[0,1,2,3,4,5,6,7.5],[1,"red","circle"]],"Go on."]')
     assert answer.page is not None
     assert answer.goal is not None
     assert (answer.raw_reward, answer.done, answer.goal.utterance) == (0.5, True, "Go on.")
@@ -78,6 +78,7 @@ def test_an_answer_becomes_a_page_row_by_row() -> None:
     assert answer.page.focused.tolist() == [False, True]
     assert answer.page.tampered.tolist() == [False, True]
     assert answer.page.box.tolist() == [[0, 1, 2, 3], [4, 5, 6, 7.5]]
+    assert (answer.page.colour, answer.page.shape) == (("", "red"), ("", "circle"))
 
 
 def test_text_cannot_break_out_of_the_call_that_types_it() -> None:

@@ -58,13 +58,15 @@ def test_the_entropy_of_verb_and_element_is_that_of_the_enumeration(case: tuple[
 @pytest.mark.parametrize(
     "action",
     [
-        Action(verb=Verb.CLICK, element=0),  # no leaf
-        Action(verb=Verb.TYPE, element=2, start=0, end=0),  # no field
-        Action(verb=Verb.TYPE, element=3, start=2, end=1),  # ends before it starts
+        (Verb.CLICK, 0, -1, -1),  # no leaf
+        (Verb.TYPE, 2, 0, 0),  # no field
+        (Verb.TYPE, 3, 2, 1),  # ends before it starts
     ],
 )
-def test_an_illegal_action_has_probability_zero(action: Action, net: Policy) -> None:
-    logp, _, _ = net.evaluate(batch_of((LONG, CASES[0][1])), many([action]))
+def test_an_illegal_action_has_probability_zero(action: tuple[int, ...], net: Policy) -> None:
+    verb, element, start, end = torch.tensor(action).view(4, 1, 1)
+    chosen = ActionBatch(verb=verb, element=element, start=start, end=end)
+    logp, _, _ = net.evaluate(batch_of((LONG, CASES[0][1])), chosen)
     assert logp.exp().item() == 0.0
 
 

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from giirl.spec import Action, Goal, Outcome, Purpose, Verb, Weights, page_seed
+from giirl.keys import chord
+from giirl.spec import Action, Command, EpisodeSpec, Goal, Observation, Outcome, Purpose, Verb, Weights, page_seed
 from tests.learning.samples import FLAT, LONG, page, trajectory
 
 CLICK = Action(verb=Verb.CLICK, element=0)
@@ -54,7 +55,7 @@ def test_an_action_types_the_words_it_points_at_and_a_click_types_nothing() -> N
     goal = Goal("Type one two.")
     assert Action(verb=Verb.TYPE, element=0, start=1, end=2).text(goal) == "one two"
     assert Action(verb=Verb.TYPE, element=0).text(goal) == ""
-    assert Action(verb=Verb.CLICK, element=0, start=1, end=2).text(goal) == ""
+    assert Action(verb=Verb.CLICK, element=0).text(goal) == ""
 
 
 def test_leaves_are_the_rows_that_are_nobodys_parent_and_fields_take_text() -> None:
@@ -85,8 +86,7 @@ def test_a_page_whose_columns_disagree_is_refused(change: dict[str, object]) -> 
         ({"rewards": np.zeros(3, dtype=np.float32)}, "rewards has 3 steps"),
         ({"behaviour_logp": np.zeros(0, dtype=np.float32)}, "behaviour_logp has 0 steps"),
         ({"actions": (replace(CLICK, element=3),)}, "element 3 of a page with 3"),
-        ({"actions": (replace(CLICK, element=-1),)}, "element -1"),
-        ({"actions": (Action(verb=Verb.TYPE, element=0, start=2, end=1),)}, r"words 2\.\.1"),
+        ({"actions": (Action(verb=Verb.DRAG, element=0, to=3),)}, "element 3 of a page with 3"),
         ({"actions": (Action(verb=Verb.TYPE, element=0, start=0, end=3),)}, "goal with 3"),
     ],
 )
@@ -94,6 +94,60 @@ def test_a_trajectory_that_could_not_have_happened_is_refused(change: dict[str, 
     good = trajectory("Click Ok.", [FLAT], [CLICK])
     with pytest.raises(ValueError, match=why):
         replace(good, **change)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("fields", "why"),
+    [
+        ({"verb": Verb.CLICK, "literal": "x"}, "CLICK takes no 'literal', got 'x'"),
+        ({"verb": Verb.HOVER, "by": (1.0, 0.0)}, "HOVER takes no 'by'"),
+        ({"verb": Verb.SCROLL, "to": 1}, "SCROLL takes no 'to'"),
+        ({"verb": Verb.WAIT, "at": (1.0, 1.0)}, "WAIT takes no 'at'"),
+        ({"verb": Verb.CLICK, "element": -2}, "row -2"),
+        ({"verb": Verb.TYPE, "start": 2, "end": 1}, r"words 2\.\.1"),
+        ({"verb": Verb.TYPE, "start": 0, "end": 0, "literal": "x"}, "types both 'x' and words 0..0"),
+        ({"verb": Verb.CLICK, "at": (float("nan"), 0.0)}, "finite"),
+        ({"verb": Verb.PRESS}, "'' is no key"),
+        ({"verb": Verb.PRESS, "literal": "Ctrl+c"}, r"'Ctrl\+c' is no key: .* as in Control\+c"),
+        ({"verb": Verb.PRESS, "literal": "Control+"}, "is no key"),
+    ],
+)
+def test_an_action_that_says_what_its_verb_does_not_use_is_refused(fields: dict[str, object], why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        Action(**fields)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("keys", "modifiers", "key"),
+    [("a", 0, "a"), ("+", 0, "+"), ("Enter", 0, "Enter"), ("Control++", 2, "+"), ("Control+Shift+Tab", 10, "Tab")],
+)
+def test_a_chord_is_its_modifiers_and_its_key(keys: str, modifiers: int, key: str) -> None:
+    assert chord(keys) == (modifiers, key)
+
+
+def test_an_action_becomes_a_command_in_the_browsers_handles() -> None:
+    seen = Observation(episode=EpisodeSpec(task="t", seed=1), page=FLAT, goal=Goal("Drag it."))
+    drag = Action(verb=Verb.DRAG, element=0, to=2, at=(1.0, 2.0), by=(3.0, 4.0))
+    command = Command.of(drag, seen, last=True)
+    first, third = int(FLAT.ref[0]), int(FLAT.ref[2])
+    assert command == Command(verb=Verb.DRAG, ref=first, at=(1.0, 2.0), by=(3.0, 4.0), to=third, last=True)
+    assert Command.of(Action(verb=Verb.PRESS, literal="Enter"), seen) == Command(verb=Verb.PRESS, text="Enter")
+    assert Command.of(Action(verb=Verb.TYPE, element=1, start=1, end=1), seen).text == "it"
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        Action(verb=Verb.DRAG, element=0, to=1),
+        Action(verb=Verb.CLICK, at=(3.0, 3.0)),
+        Action(verb=Verb.CLICK, element=0, at=(3.0, 3.0)),
+        Action(verb=Verb.TYPE, element=0, literal="not in the goal"),
+    ],
+)
+def test_what_the_nets_cannot_express_is_no_demonstration_for_them(action: Action) -> None:
+    with pytest.raises(ValueError, match=r"step 1 is .*: the nets learn only clicks on rows and typing words"):
+        trajectory("Click Ok.", [FLAT, FLAT], [CLICK, action]).check_learned()
+    trajectory("Click Ok.", [FLAT, FLAT], [CLICK, CLICK]).check_learned()
 
 
 SEEDS = st.tuples(st.sampled_from(Purpose), st.integers(0, (1 << 16) - 1), st.integers(0, (1 << 32) - 1))

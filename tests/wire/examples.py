@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
-from giirl.spec import Action, Episode, Goal, Outcome, Page, Trajectory, Verb
+from giirl.spec import USES, Action, Episode, Goal, Outcome, Page, Trajectory, Verb
 from giirl.wire import Stamp
 
 STAMP = Stamp(run="run-1", actor="actor-7", incarnation=2, sequence=41)
@@ -63,27 +63,46 @@ def pages(draw: st.DrawFn) -> Page:
         box=np.array(draw(st.lists(NUMBER, min_size=count * 4, max_size=count * 4)), np.float32).reshape(-1, 4),
         focused=np.array(draw(st.lists(st.booleans(), min_size=count, max_size=count)), np.bool_),
         tampered=np.array(draw(st.lists(st.booleans(), min_size=count, max_size=count)), np.bool_),
+        colour=draw(texts),
+        shape=draw(texts),
     )
 
 
 @st.composite
-def trajectories(draw: st.DrawFn) -> Trajectory:
-    """Any trajectory of one to four steps."""
+def actions(draw: st.DrawFn, seen: Page, goal: Goal, learned: bool) -> Action:
+    """Any action on a page, or any that the nets can choose."""
+    if learned:
+        start = draw(st.integers(-1, len(goal.tokens) - 1))
+        verb = Verb.CLICK if start < 0 else Verb.TYPE
+        return Action(verb=verb, element=draw(st.integers(0, len(seen) - 1)), start=start, end=start)
+    rows, offsets = st.integers(-1, len(seen) - 1), st.tuples(NUMBER, NUMBER)
+    verb = draw(st.sampled_from(Verb))
+    start = draw(st.integers(-1, len(goal.tokens) - 1)) if "start" in USES[verb] else -1
+    literal = draw(TEXT) if "literal" in USES[verb] and start < 0 else ""
+    return Action(
+        verb=verb,
+        element=draw(rows),
+        start=start,
+        end=start if start < 0 else draw(st.integers(start, len(goal.tokens) - 1)),
+        literal=draw(st.sampled_from(("Enter", "Control+c"))) if verb is Verb.PRESS else literal,
+        at=draw(offsets) if "at" in USES[verb] else (0.0, 0.0),
+        by=draw(offsets) if "by" in USES[verb] else (0.0, 0.0),
+        to=draw(rows) if "to" in USES[verb] else -1,
+    )
+
+
+@st.composite
+def trajectories(draw: st.DrawFn, learned: bool = False) -> Trajectory:
+    """Any trajectory of one to four steps; of actions that the nets can choose, if `learned`."""
     shown = tuple(draw(st.lists(pages(), min_size=1, max_size=4)))
     goal = Goal("w" + draw(TEXT))
-    actions = []
-    for seen in shown:
-        start = draw(st.integers(-1, len(goal.tokens) - 1))
-        end = start if start < 0 else draw(st.integers(start, len(goal.tokens) - 1))
-        element = draw(st.integers(0, len(seen) - 1))
-        actions.append(Action(verb=draw(st.sampled_from(Verb)), element=element, start=start, end=end))
     numbers = st.lists(NUMBER, min_size=len(shown), max_size=len(shown))
     return Trajectory(
         task=draw(TEXT),
         goal=goal,
         seed=draw(st.integers(0, 2**53)),
         pages=shown,
-        actions=tuple(actions),
+        actions=tuple(draw(actions(seen, goal, learned)) for seen in shown),
         behaviour_logp=np.array(draw(numbers), np.float32),
         rewards=np.array(draw(numbers), np.float32),
         policy_version=draw(st.integers(-1, 10**9)),
@@ -105,7 +124,7 @@ def assert_same_trajectory(found: Trajectory, wanted: Trajectory) -> None:
     for name in ("behaviour_logp", "rewards"):
         _assert_same_array(getattr(found, name), getattr(wanted, name))
     for seen, meant in zip(found.pages, wanted.pages, strict=True):
-        for name in ("tag", "text", "value", "classes"):
+        for name in ("tag", "text", "value", "classes", "colour", "shape"):
             assert getattr(seen, name) == getattr(meant, name)
         for name in ("ref", "parent", "box", "focused", "tampered"):
             _assert_same_array(getattr(seen, name), getattr(meant, name))

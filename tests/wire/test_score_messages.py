@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,12 +11,12 @@ from hypothesis import strategies as st
 
 from giirl import scoring, wire
 from giirl.scoring import ScoreReply
-from giirl.spec import Trajectory
+from giirl.spec import Action, Trajectory, Verb
 from giirl.wire import WireError
 from tests.wire.examples import NUMBER, assert_same_trajectory, episode, trajectories
 
 
-@given(st.integers(0, 2**63), st.lists(trajectories(), min_size=1, max_size=3))
+@given(st.integers(0, 2**63), st.lists(trajectories(learned=True), min_size=1, max_size=3))
 def test_a_request_comes_back_as_it_was_sent(number: int, sent: list[Trajectory]) -> None:
     header, arrays = wire.decode(scoring.encode_request(number, sent))
     assert scoring.read_request(header) == number
@@ -50,3 +52,10 @@ def test_a_request_too_large_or_empty_is_refused_where_it_is_made() -> None:
     for wrong in ([], [episode(1).trajectory] * (scoring.MAX_BATCH + 1)):
         with pytest.raises(ValueError, match="wanted 1 to"):
             scoring.encode_request(1, wrong)
+
+
+def test_a_request_about_what_the_nets_cannot_judge_is_a_wire_error() -> None:
+    sent = episode().trajectory
+    hovering = replace(sent, actions=(Action(verb=Verb.HOVER, element=0), *sent.actions[1:]))
+    with pytest.raises(WireError, match=r"click-button with seed 5, step 0 is HOVER .* the nets learn only"):
+        scoring.build_request(*wire.decode(scoring.encode_request(0, [hovering])))
