@@ -58,7 +58,7 @@ class Uplink:
         keys: Keys | None = None,
     ) -> None:
         self._stamp = Stamp(run=run, actor=actor, incarnation=incarnation, sequence=0)
-        self._tally = tally
+        self._tally, self._keys = tally, keys
         self._limits = limits or UplinkLimits()
         self._waiting: dict[int, _Copy] = {}  # not judged yet, in order of sequence
         self._judged: dict[int, _Copy] = {}  # judged, but in no checkpoint
@@ -67,7 +67,7 @@ class Uplink:
         self._finished = 0
         self._notices = 0
         self._leaving = False
-        self._connect(address, keys)
+        self._connect(address)
 
     @property
     def ready(self) -> bool:
@@ -118,10 +118,10 @@ class Uplink:
         self._leaving = True
         return self.flush(timeout_s) and self._outlast(self._judged, timeout_s)
 
-    def redirect(self, address: str, keys: Keys | None) -> None:
+    def redirect(self, address: str) -> None:
         """The learner came back elsewhere: offer it what no checkpoint covers."""
         self._dealer.close()
-        self._connect(address, keys)
+        self._connect(address)
 
     def close(self) -> None:
         """Say good-bye and end the connection. What has not been judged is lost, and the learner counts it."""
@@ -129,9 +129,9 @@ class Uplink:
             self._tell(delivery.BYE)
         self._dealer.close()
 
-    def _connect(self, address: str, keys: Keys | None) -> None:
+    def _connect(self, address: str) -> None:
         identity = f"{self._stamp.actor}#{self._stamp.incarnation}".encode()
-        self._dealer = Dealer(address, identity=identity, keys=keys)
+        self._dealer = Dealer(address, identity=identity, keys=self._keys)
         self._heard_s = time.monotonic()
         self._begin()
 

@@ -70,6 +70,9 @@ class Metrics:
             "giirl_scoring_given_up_total", "Episodes sent on unscored, since the reward service did not answer"
         )
 
+        self.workers = self._gauge("giirl_workers", "Processes that are not given up", "kind")
+        self.worker_restarts = self._counter("giirl_worker_restarts_total", "Processes that ended or hung", "kind")
+
         self.waiting_seconds = self._counter("giirl_waiting_seconds_total", "Time spent waiting", "what")
         self.waiting_now = self._gauge("giirl_waiting_now", "Threads that wait at this moment", "what")
 

@@ -25,6 +25,8 @@ class RunFolder:
         self.curve = path / "curve.jsonl"
         self.result = path / "result.json"
         self.targets = path / "prometheus.json"
+        self.keys = path / "keys"
+        self.wanted = path / "wanted_actors"
 
     @classmethod
     def create(cls, config: Config, name: str) -> RunFolder:
@@ -64,6 +66,11 @@ class RunFolder:
     def write_json(self, path: Path, result: Mapping[str, Any]) -> None:
         """A result, readable by people and programs."""
         self.write(path, json.dumps(result, indent=2) + "\n")
+
+    def wanted_actors(self) -> int:
+        """How many actors were asked for since the run began, 0 when nobody asked."""
+        text = self.wanted.read_text() if self.wanted.exists() else ""
+        return int(text) if text.isdecimal() else 0
 
     def save_demonstrations(self, episodes: list[Episode]) -> None:
         write_episodes(self.demonstrations, episodes)

@@ -83,7 +83,7 @@ class ScoreClient:
     def follow(self, addresses: Sequence[str]) -> None:
         """These are the replicas from now on; what others have not answered is asked of these."""
         known = {replica.address: replica for replica in self._replicas}
-        self._replicas = [known.pop(address, None) or self._connect(address) for address in addresses]
+        self._replicas = [known.pop(a) if a in known else self._connect(a) for a in addresses]
         for replica in known.values():
             replica.dealer.close()
         for question in self._open.values():

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ipaddress
+import os
 import socket
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from pathlib import Path
 
 import zmq
 from zmq.auth.thread import ThreadAuthenticator
@@ -44,6 +46,18 @@ class Keys:
         """A fresh pair."""
         public, secret = zmq.curve_keypair()
         return cls(public=public, secret=secret)
+
+    @classmethod
+    def keep(cls, path: Path) -> Keys:
+        """Those in `path`; where there are none a fresh pair, which only its owner may read."""
+        if not path.exists():
+            made = cls.make()
+            with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+                file.write(made.public + b"\n" + made.secret + b"\n")
+        lines = path.read_bytes().split()
+        if len(lines) != 2:
+            raise ValueError(f"{path} holds {len(lines)} keys, wanted a public one and its secret")
+        return cls(public=lines[0], secret=lines[1])
 
 
 class Router:

@@ -84,18 +84,18 @@ class RewardService:
         loaded = self._loaded
         return loaded.version if loaded else UNSCORED
 
-    def set_weights(self, weights: Weights) -> None:
+    def set_weights(self, weights: Weights, *, anew: bool = False) -> None:
         """Build a scorer from `weights`, then put it in place of the one in use.
 
         ValueError, and nothing changed, when they are corrupt, older than those in use, or others of the same
-        version. The very ones in use may come again.
+        version. The very ones in use may come again; and, where a learner came back to a checkpoint, older ones `anew`.
         """
         with self._loading:
             used = self._loaded
             if used and (used.version, used.digest) == (weights.version, weights.digest):
                 return
             try:
-                if weights.version <= self.version:
+                if weights.version <= self.version and not anew:
                     raise ValueError(f"reward weights of version {weights.version} came after {self.version}")
                 weights.check()
                 score = self._load(weights)
@@ -105,10 +105,10 @@ class RewardService:
             self._loaded = _Loaded(version=weights.version, digest=weights.digest, score=score)
             self._metrics.reward_version.set(weights.version)
 
-    def serve_forever(self, stop: threading.Event) -> None:
-        """Answer until `stop` is set, then let go of the port."""
+    def serve(self, stop: Callable[[], bool]) -> None:
+        """Answer until `stop`, then let go of the port."""
         try:
-            while not stop.is_set():
+            while not stop():
                 self.serve_once(TICK_S)
         finally:
             self._router.close()

@@ -35,7 +35,7 @@ def trajectory(steps: int = 2) -> Trajectory:
 @contextmanager
 def serving(service: RewardService) -> Iterator[RewardService]:
     stop = threading.Event()
-    thread = threading.Thread(target=service.serve_forever, args=(stop,))
+    thread = threading.Thread(target=service.serve, args=(stop.is_set,))
     thread.start()
     try:
         yield service

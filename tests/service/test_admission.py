@@ -392,7 +392,7 @@ def test_a_notice_that_lacks_something_or_says_the_impossible_is_a_wire_error() 
     notice = Notice(kind=delivery.BEAT, stamp=stamp, number=3, finished=4, full=True, before=((0, 5), (1, 0)))
     whole, _ = wire.decode(delivery.encode_notice(notice))
     assert delivery.read_notice(whole, stamp) == notice
-    wrong = [{name: None} for name in ("number", "finished", "full", "before")]
+    wrong: list[dict[str, Any]] = [{name: None} for name in ("number", "finished", "full", "before")]
     wrong += [{"finished": 0}, {"number": -1}, {"before": [[2, 1]]}, {"before": [[0, -1]]}, {"before": [[0, 1, 2]]}]
     for change in wrong:
         with pytest.raises(WireError):

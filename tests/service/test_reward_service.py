@@ -92,7 +92,7 @@ def test_a_flood_is_answered_overloaded_and_the_queue_stays_within_its_bound() -
         for number in range(8):
             assert dealer.send(scoring.encode_request(number, [trajectory(1)]), timeout_s=WAIT_S)
         time.sleep(0.2)  # until all of them have arrived
-        thread = threading.Thread(target=service.serve_forever, args=(stop,))
+        thread = threading.Thread(target=service.serve, args=(stop.is_set,))
         thread.start()
         try:
             replies = [scoring.decode_reply(dealer.recv(WAIT_S) or []) for _ in range(8)]

@@ -226,7 +226,7 @@ def test_an_actor_follows_its_learner_to_another_address() -> None:
         line.offer(episode(1, seed=1))
         assert line.flush(WAIT_S)
         with ingesting() as second:
-            line.redirect(second.address, None)
+            line.redirect(second.address)
             assert [e.trajectory.seed for e in _take_with(second, 1, line)] == [1]
 
 
