@@ -5,12 +5,14 @@ from __future__ import annotations
 import fcntl
 import os
 import struct
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from giirl.delivery import MAX_BEFORE, Before
 
+LOCK_S = 10.0  # for an incarnation that was stopped in the midst of counting to be ended
 ENTRY = struct.Struct("<QQ")  # incarnation, episodes finished
 
 
@@ -77,7 +79,15 @@ class Tally:
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
-        fcntl.flock(self._file, fcntl.LOCK_EX)
+        deadline_s = time.monotonic() + LOCK_S
+        while True:
+            try:
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() > deadline_s:
+                    raise RuntimeError(f"another incarnation has held the tally for {LOCK_S:.0f} s") from None
+                time.sleep(0.001)
         try:
             yield
         finally:

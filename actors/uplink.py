@@ -158,7 +158,7 @@ class Uplink:
                 LOG.warning("ignored a message of the learner: %s", error)
                 continue
             self._heard_s = time.monotonic()
-            if kind == delivery.REFUSED:
+            if delivery.is_refused(header, self._stamp):
                 known = self._stamp
                 raise Refused(
                     f"the learner refuses actor {known.actor!r}, incarnation {known.incarnation}, "
@@ -181,7 +181,10 @@ class Uplink:
             self._committed = grant.committed
             for sequence in [sequence for sequence in self._judged if sequence < grant.committed]:
                 self._kept_bytes -= self._judged.pop(sequence).size
-        self._tally.settle(grant.settled)
+        try:
+            self._tally.settle(grant.settled)
+        except Replaced as error:
+            raise Refused(f"actor {self._stamp.actor!r} is not wanted any more: {error}") from None
 
     def _speak(self) -> None:
         now_s = time.monotonic()

@@ -100,9 +100,16 @@ def encode_who() -> list[bytes]:
     return wire.encode({"kind": WHO})
 
 
-def encode_refused(reason: str) -> list[bytes]:
-    """The learner will never take anything from this actor."""
-    return wire.encode({"kind": REFUSED, "reason": reason})
+def encode_refused(reason: str, stamp: Stamp) -> list[bytes]:
+    """The learner will never take anything from the actor that this stamp names."""
+    who = {"run": stamp.run, "actor": stamp.actor, "incarnation": stamp.incarnation}
+    return wire.encode({"kind": REFUSED, "reason": reason, **who})
+
+
+def is_refused(header: Header, stamp: Stamp) -> bool:
+    """Whether a refusal means this actor, and not somebody else who spoke in its place."""
+    who = (header.get("run"), header.get("actor"), header.get("incarnation"))
+    return header["kind"] == REFUSED and who == (stamp.run, stamp.actor, stamp.incarnation)
 
 
 def read_notice(header: Header, stamp: Stamp) -> Notice:

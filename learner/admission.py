@@ -91,10 +91,10 @@ class Admission:
             self._refused("damaged")
             return None
         if stamp.run != self._run:
-            return self._refuse(header["kind"], delivery.OTHER_RUN)
+            return self._refuse(header["kind"], delivery.OTHER_RUN, stamp)
         actor = self._actors.get(stamp.actor)
         if actor and stamp.incarnation < actor.incarnation:
-            return self._refuse(header["kind"], delivery.FENCED)
+            return self._refuse(header["kind"], delivery.FENCED, stamp)
         if notice and notice.kind == delivery.HELLO:
             actor = self._greet(notice)
             actor.peer = peer
@@ -233,10 +233,10 @@ class Admission:
             lag = self._reward_version() - episode.trajectory.reward_version
             self._metrics.reward_lag.observe(max(0, lag))
 
-    def _refuse(self, kind: str, reason: str) -> list[bytes]:
+    def _refuse(self, kind: str, reason: str, stamp: Stamp) -> list[bytes]:
         if kind == delivery.EPISODE:
             self._refused(reason)
-        return delivery.encode_refused(reason)
+        return delivery.encode_refused(reason, stamp)
 
     def _refused(self, reason: str) -> None:
         """A message that is no new episode, or not yet."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -235,6 +236,21 @@ def test_an_actor_of_another_run_is_told() -> None:
         with pytest.raises(Refused, match="other_run"):
             until(lambda: False, line)
         assert ingest.queued == 0
+
+
+def test_an_actor_is_not_refused_for_what_another_said_in_its_name() -> None:
+    with closing(Router()) as router, closing(uplink(router.address)) as line:
+        line.offer(episode(1))
+        until(lambda: router.poll(0.005), line)
+        peer, _ = router.recv(0.0) or (b"", [])
+        for stamp in (replace(STAMP, actor="a", incarnation=0), replace(STAMP, run="run", actor="a", incarnation=1)):
+            router.send(peer, delivery.encode_refused(delivery.OTHER_RUN, stamp))
+        heard_s = line.silent_for_s
+        until(lambda: line.silent_for_s < heard_s, line)
+        stamp = replace(STAMP, run="run", actor="a", incarnation=0)
+        router.send(peer, delivery.encode_refused(delivery.OTHER_RUN, stamp))
+        with pytest.raises(Refused, match="other_run"):
+            until(lambda: False, line)
 
 
 def test_junk_on_the_socket_stops_nobody() -> None:
