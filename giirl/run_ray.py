@@ -14,6 +14,7 @@ from typing import Any
 
 import ray
 from ray.exceptions import RayError
+from tenacity import retry, retry_if_exception, stop_after_attempt
 
 from giirl.config import Config
 from giirl.run_processes import ActorProcess, RewardProcess
@@ -21,6 +22,7 @@ from giirl.supervision import Gone
 
 NAMESPACE = "giirl"
 ANSWER_S = 10.0
+START_TRIES = 3  # on a busy machine its node needs longer than the 30 s that Ray gives it
 THREADS = 16  # of a process: one plays, others answer
 
 
@@ -82,7 +84,12 @@ class RayPlatform:
     def __init__(self, config: Config, run: str) -> None:
         self.alone, self._run = config.runtime == "local", run
         terminated = signal.getsignal(signal.SIGTERM)
-        _init(config)
+        try:
+            _init(config)
+        except Exception as error:
+            if type(error) is not Exception:  # what Ray raises when its node does not come up in time
+                raise
+            raise RuntimeError(f"Ray did not start, tried {START_TRIES} times: {error}") from error
         signal.signal(signal.SIGTERM, terminated)  # Ray puts its own in place, which ends a run unsaved
         self.host = "127.0.0.1" if self.alone else _node()
 
@@ -108,6 +115,12 @@ class RayPlatform:
         ray.shutdown()
 
 
+@retry(
+    stop=stop_after_attempt(START_TRIES),
+    retry=retry_if_exception(lambda error: type(error) is Exception),
+    before_sleep=lambda state: ray.shutdown(),
+    reraise=True,
+)
 def _init(config: Config) -> None:
     quiet: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
     if config.runtime == "ray":

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from tests.chaos.namespaces import missing
 from tests.chaos.scripts import play
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
@@ -57,3 +58,13 @@ def test_memory_stays_flat_while_the_learner_is_stopped_and_everybody_goes_on_af
         assert seen["actors_late_mib"] < 1.1 * seen["actors_mib"], found
         assert seen["resumed"] == (1000 if full else 60)
     assert found["ledger"]["unaccounted"] == 0
+
+
+def test_a_network_that_was_cut_and_mended_costs_no_episode(full: bool, tmp_path: Path) -> None:
+    if why := missing():
+        pytest.skip(why)
+    cut_s = 30.0 if full else 4.0  # beyond 15 s the sockets themselves give the other end up
+    found = play("cut", tmp_path, str(cut_s), timeout_s=150, result="cut.json")
+    assert found["steps_while_cut"] == 0, found
+    assert found["ledger"]["unaccounted"] == found["ledger"]["trained_twice"] == 0, found
+    assert found["ledger"]["dropped"]["lost"] == 0, found
