@@ -53,7 +53,7 @@ class RunFolder:
     def discard_unless_begun(self) -> None:
         """Take back `create` where a run failed before its first checkpoint: the mended command finds no folder."""
         if not self.checkpoints.exists():
-            for path in (self.config_file, self.demonstrations, self.targets):
+            for path in (self.config_file, self.demonstrations, self.targets, self.curve, self.keys):
                 path.unlink(missing_ok=True)
             if not any(self.path.iterdir()):
                 self.path.rmdir()

@@ -1,6 +1,6 @@
 """The wire contract: what episodes and weights look like as bytes, on a socket and in a file.
 
-A message is a list of frames. The first is a fixed prefix (magic, schema version, CRC-32 of all that follows)
+A message is a list of frames. The first is a fixed prefix (magic, schema version, XXH3 of all that follows)
 and a msgpack header; each further frame is one column of raw little-endian numbers, which the header names
 and measures. Whatever is wrong with a message is a WireError and nothing else; sizes are checked before
 anything is allocated.
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import struct
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,15 +18,16 @@ from typing import Any
 
 import msgpack
 import numpy as np
+from xxhash import xxh3_64
 
 from giirl import columns as cols
 from giirl.columns import Column, Columns, take
 from giirl.files import whole_file
 from giirl.spec import Episode, Outcome
 
-SCHEMA = 2
+SCHEMA = 3
 MAGIC = b"GIRL"
-PREFIX = struct.Struct("<4sHI")  # magic, schema, checksum
+PREFIX = struct.Struct("<4sHQ")  # magic, schema, checksum
 MAX_BYTES = 64 << 20
 MAX_HEADER_BYTES = 1 << 20
 MAX_FRAMES = 64
@@ -73,22 +73,22 @@ def encode(header: Mapping[str, object], arrays: Mapping[str, Column] | None = N
     except (TypeError, OverflowError) as error:
         raise ValueError(f"header of kind {header['kind']!r} cannot be packed: {error}") from error
     _check_limits([body, *frames], MAX_BYTES)
-    return [PREFIX.pack(MAGIC, SCHEMA, _checksum([body, *frames])) + body, *frames]
+    return [PREFIX.pack(MAGIC, SCHEMA, checksum([body, *frames])) + body, *frames]
 
 
 def decode(frames: Sequence[bytes], *, max_bytes: int = MAX_BYTES) -> tuple[Header, Columns]:
     """Header and columns of one message; the columns are read-only views of its frames."""
     if not frames or len(frames[0]) < PREFIX.size:
         raise WireError(f"a message of {len(frames)} frames has no whole header, wanted {PREFIX.size} bytes or more")
-    magic, schema, checksum = PREFIX.unpack_from(frames[0])
+    magic, schema, promised = PREFIX.unpack_from(frames[0])
     if magic != MAGIC:
         raise WireError(f"a message starts with {magic!r}, wanted {MAGIC!r}")
     if schema != SCHEMA:
         raise WireError(f"a message has schema {schema}, this program speaks {SCHEMA}: use one version on both sides")
     parts = [frames[0][PREFIX.size :], *frames[1:]]
     _check_limits(parts, max_bytes)
-    if _checksum(parts) != checksum:
-        raise WireError(f"a message is damaged: checksum {_checksum(parts):08x}, wanted {checksum:08x}")
+    if (found := checksum(parts)) != promised:
+        raise WireError(f"a message is damaged: checksum {found:016x}, wanted {promised:016x}")
     header, layout = _unpack_header(parts[0])
     if len(layout) != len(parts) - 1:
         raise WireError(f"a message has {len(parts) - 1} column frames, its header names {len(layout)}")
@@ -176,6 +176,14 @@ def read_episodes(path: Path) -> list[Episode]:
     return episodes
 
 
+def checksum(parts: Sequence[bytes]) -> int:
+    """64 bits over all parts, whatever their borders: those the header tells."""
+    digest = xxh3_64()
+    for part in parts:
+        digest.update(part)
+    return digest.intdigest()
+
+
 def expect(header: Header, kind: str) -> None:
     """Refuse a message of another kind."""
     if header.get("kind") != kind:
@@ -191,13 +199,6 @@ def untrusted() -> Iterator[None]:
         raise
     except ValueError as error:
         raise WireError(str(error)) from error
-
-
-def _checksum(parts: Sequence[bytes]) -> int:
-    checksum = 0
-    for part in parts:
-        checksum = zlib.crc32(part, checksum)
-    return checksum
 
 
 def _check_limits(parts: Sequence[bytes], max_bytes: int) -> None:

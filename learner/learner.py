@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import safetensors.torch
 import torch
+from safetensors import SafetensorError
 from torch import nn
 
 from giirl.config import Config
@@ -94,7 +95,13 @@ class Learner:
         (folder / "learner.json").write_text(json.dumps(state, indent=2))
 
     def load(self, folder: Path) -> None:
-        """The inverse of `save`; ValueError when the checkpoint is of other nets."""
+        """The inverse of `save`; ValueError when the checkpoint is of other nets, or of no learner at all."""
+        try:
+            self._load(folder)
+        except (LookupError, TypeError, AttributeError, OverflowError, RuntimeError, SafetensorError) as error:
+            raise ValueError(f"{folder} is no checkpoint of such a learner: {error!r:.200}") from error
+
+    def _load(self, folder: Path) -> None:
         state: dict[str, Any] = json.loads((folder / "learner.json").read_text())
         for name, net in self._nets().items():
             load_net(net, Weights.seal(state["version"], (folder / f"{name}.safetensors").read_bytes()))
@@ -133,5 +140,10 @@ def _load_optimiser(optimiser: torch.optim.Optimizer, blob: bytes) -> None:
         index, name = key.split(".", 1)
         moments.setdefault(int(index), {})[name] = tensor
     state = optimiser.state_dict()
+    shapes = [parameter.shape for group in optimiser.param_groups for parameter in group["params"]]
+    for number, parts in moments.items():
+        for part, tensor in parts.items():
+            if tensor.ndim and tensor.shape != shapes[number]:
+                raise ValueError(f"{part} of parameter {number} has shape {tensor.shape}, wanted {shapes[number]}")
     state["state"] = moments
     optimiser.load_state_dict(state)

@@ -43,7 +43,7 @@ MOMENTS: dict[str, tuple[Any, str]] = {
 
 def points(count: int) -> list[str]:
     """So many of all moments about the middle of a run, each named MOMENT-CALL."""
-    calls = {"take": 6, "observe": 6, "publish": 6, "write": 24, "sync": 60, "rename": 4, "point": 12, "prune": 4}
+    calls = {"take": 6, "observe": 6, "publish": 6, "write": 18, "sync": 60, "rename": 4, "point": 12, "prune": 2}
     spread = [f"{moment}-{number}" for moment, last in calls.items() for number in range(last // 4, last)]
     return [spread[place * len(spread) // count] for place in range(count)]
 
