@@ -77,11 +77,14 @@ $(STAMP): pyproject.toml constraints.txt
 run: install ## train on the four tasks of the thesis, or on CONFIG
 	@$(BIN)/giirl train $(CONFIG)
 
-test: check ## every check and every test: what CI runs
-	@$(BIN)/python -m pytest
+# Tests that start Chrome or Ray want the machine to themselves; the others share its cores.
+FAST := not chrome and not ray and not slow
+
+test: check test-fast ## every check and every test: what CI runs
+	@$(BIN)/python -m pytest -m "not ($(FAST))"
 
 test-fast: install ## the tests that start neither Ray nor Chrome and end within seconds
-	@$(BIN)/python -m pytest -m "not chrome and not ray and not slow"
+	@$(BIN)/python -m pytest -n logical -m "$(FAST)"
 
 check: install ## style, types and import contracts
 	@$(BIN)/ruff check .

@@ -141,17 +141,14 @@ def reward() -> None:
 def toggle(run: Path, task: str, pages: int, json_file: Path | None) -> None:
     """How often the reward ranks the goal's button first, and after the goal names another, that one."""
     from giirl.metrics import Metrics
+    from giirl.run import reward_of_run
     from giirl.run_toggle import toggle
-    from learner.checkpoint import latest_checkpoint
 
     writable(json_file)
     folder, _ = RunFolder.open(run)
     config = load_config(folder.config_file, [f'tasks=["{task}"]'])
     check_tasks(config)
-    if config.algorithm != "giirl":
-        raise ValueError(f"{run} learned no reward: its algorithm is {config.algorithm!r}, wanted 'giirl'")
-    weights = folder.weights(latest_checkpoint(folder.checkpoints), "reward")
-    result = toggle(config, weights, task, pages, Metrics(), Display())
+    result = toggle(config, reward_of_run(run), task, pages, Metrics(), Display())
     for path in _some(json_file):
         folder.write_json(path, result)
     Display().say(

@@ -39,6 +39,7 @@ class DemosConfig:
     path: str = ""  # a demonstration file, or the folder of public human recordings
     per_task: Positive = 100  # at most so many
     collections: tuple[str, ...] = ()  # folders of recordings to read, all when empty
+    spoiled: Share = 0.0  # of each task's, replaced by episodes of somebody who does anything
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -79,7 +80,9 @@ class DiscriminatorConfig:
     at zero is Algorithm 1 as the thesis has it.
     """
 
-    reward: Literal["logit", "d", "log_d"] = "logit"
+    reward: Literal["logit", "d", "log_d", "gail", "goal"] = "logit"
+    judges: Literal["steps", "ends"] = "steps"  # "ends": only the last step of an episode, as AGILE does
+    trim: Share = 0.0  # top-scored share of the policy's own steps that is no negative (AGILE)
     clip: Annotated[float, Field(gt=0)] = 5.0  # bound on the logit, nats
     learning_rate: Annotated[float, Field(gt=0)] = 1e-3  # of the first iteration
     final_rate: Share = 0.1  # of it in the last one; in between it falls in a straight line
@@ -127,6 +130,20 @@ class CloningConfig:
     batch: Positive = 64
     rename: Share = 0.5
     jitter: Weight = 0.1
+
+
+@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
+class SoftQConfig:
+    """Imitation without a discriminator, on the policy's net: SQIL and IQ-Learn."""
+
+    learning_rate: Annotated[float, Field(gt=0)] = 1e-3  # of the first iteration
+    final_rate: Share = 0.1  # of it in the last one
+    updates: Positive = 4  # per iteration
+    batch: Positive = 64  # expert steps per update, and as many of the policy's
+    gamma: Share = 0.9
+    temperature: Annotated[float, Field(gt=0)] = 0.1  # alpha: Q(s, a) = V(s) + alpha log pi(a | s)
+    chi: Annotated[float, Field(gt=0)] = 0.5  # IQ-Learn's: large ones allow large rewards
+    max_norm: Annotated[float, Field(gt=0)] = 1.0  # gradient norm
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -182,8 +199,10 @@ class Config:
     seed: Annotated[int, Field(ge=0, lt=1 << 16)] = 0
     runtime: Literal["serial", "local", "ray"] = "local"
     browser: Literal["chrome", "fake"] = "chrome"
-    algorithm: Literal["giirl", "cloning"] = "giirl"
+    algorithm: Literal["giirl", "cloning", "frozen", "true_reward", "sqil", "iq_learn"] = "giirl"
+    reward_from: str = ""  # with "frozen": the run whose reward a fresh policy is trained on
     tasks: Annotated[tuple[str, ...], Field(min_length=1)] = DEFAULT_TASKS
+    held_out_goals: Annotated[float, Field(ge=0, lt=1)] = 0.0  # share of goals that training never sees
     iterations: Positive = 300  # N of Algorithm 1
     rollout_batch: Positive = 32  # episodes per iteration
     step_limit: Positive = 10  # actions per episode
@@ -197,9 +216,19 @@ class Config:
     discriminator: DiscriminatorConfig = DiscriminatorConfig()
     policy: PolicyConfig = PolicyConfig()
     cloning: CloningConfig = CloningConfig()
+    soft_q: SoftQConfig = SoftQConfig()
     evaluate: EvaluateConfig = EvaluateConfig()
     metrics: MetricsConfig = MetricsConfig()
     grid: GridConfig = GridConfig()
+
+    def __post_init__(self) -> None:
+        if self.world == "gridcraft" and self.algorithm not in ("giirl", "cloning"):
+            raise ValueError(f"algorithm {self.algorithm!r} does not play gridcraft: wanted 'giirl' or 'cloning'")
+        if (self.algorithm == "frozen") != bool(self.reward_from):
+            raise ValueError(
+                f"algorithm is {self.algorithm!r} and reward_from {self.reward_from!r}: "
+                "'frozen' goes with reward_from=RUN, and nothing else does"
+            )
 
     @property
     def quota(self) -> int:

@@ -177,6 +177,12 @@ class Policy(nn.Module):
         value: Tensor = self.value(seen.summary).squeeze(1)
         return logp, _entropy(pairs) + copied, value
 
+    def worth(self, batch: Batch) -> Tensor:
+        """V(s, g) [B]."""
+        seen: Encoding = self.encoder(batch)
+        value: Tensor = self.value(seen.summary).squeeze(1)
+        return value
+
 
 class RewardNet(nn.Module):
     """The logit of D_phi(s, a | g): the policy's reading of the page, with the action marked, ending in one number."""

@@ -17,14 +17,17 @@ from giirl.models import Policy, RewardNet
 from giirl.parameters import load_net
 from giirl.spec import Action, Goal, Page, Trajectory, Weights
 
+FORMS = ("logit", "d", "log_d", "gail", "goal")
+
 
 def reward_of(logit: Tensor, form: str, clip: float) -> Tensor:
-    """The reward for a discriminator logit, any shape, in nats (a probability for "d").
+    """The reward for a discriminator logit, any shape, in nats (a probability for "d" and "goal").
 
-    `logit`: log D - log(1 - D) (Algorithm 1 of Luo 2019); `d`: D (its section 3.1); `log_d`: log D (GAIL's).
+    `logit`: log D - log(1 - D) (Algorithm 1 of Luo 2019); `d`: D (its section 3.1); `log_d`: log D; `gail`:
+    -log(1 - D) (Ho and Ermon 2016); `goal`: 1 where D > 1/2 (AGILE; Bahdanau et al. 2019).
     After the last step nothing more is paid, so the end of an episode counts as a state of reward 0: the
-    `logit` of a pair that expert and policy visit alike. `d`, always positive, pays for stalling, and `log_d`,
-    always negative, for ending early; they are for comparison.
+    `logit` of a pair that expert and policy visit alike. `d` and `gail`, always positive, pay for stalling, and
+    `log_d`, always negative, for ending early; they are for comparison.
     """
     logit = logit.clamp(-clip, clip)
     if form == "logit":
@@ -33,7 +36,23 @@ def reward_of(logit: Tensor, form: str, clip: float) -> Tensor:
         return torch.sigmoid(logit)
     if form == "log_d":
         return functional.logsigmoid(logit)
-    raise ValueError(f"there is no reward form {form!r}: wanted 'logit', 'd' or 'log_d'")
+    if form == "gail":
+        return functional.softplus(logit)
+    if form == "goal":
+        return (logit > 0).float()
+    raise ValueError(f"there is no reward form {form!r}: wanted one of {', '.join(FORMS)}")
+
+
+def episode_rewards(logits: Tensor, lengths: Sequence[int], form: str, clip: float) -> list[Tensor]:
+    """The rewards [T] of whole episodes from the logits [sum T] of all their steps.
+
+    `goal` asks whether an episode ended where it should, so it pays for the last step alone.
+    """
+    rewards = reward_of(logits, form, clip)
+    parts = list(rewards.split(list(lengths)))
+    if form == "goal":
+        parts = [functional.pad(part[-1:], (len(part) - 1, 0)) for part in parts]
+    return parts
 
 
 class RewardModel:
@@ -42,21 +61,25 @@ class RewardModel:
     def __init__(self, net: RewardNet, vectors: Vectors, form: str, clip: float) -> None:
         self.net, self.vectors, self.form, self.clip = net, vectors, form, clip
 
-    @torch.no_grad()
     def score_pairs(self, pages: Sequence[Page], actions: Sequence[Action], goals: Sequence[Goal]) -> Tensor:
         """[B] rewards of B (page, action, goal) triples."""
-        rows = [featurise(page, goal, self.vectors) for page, goal in zip(pages, goals, strict=True)]
-        self.net.eval()
-        logits = self.net(collate(rows), collate_actions(actions)).squeeze(1)
-        return reward_of(logits, self.form, self.clip)
+        return reward_of(self._logits(pages, actions, goals), self.form, self.clip)
 
     def score(self, trajectories: Sequence[Trajectory]) -> list[NDArray[np.float32]]:
         """For each trajectory its [T] rewards."""
         pages = [page for trajectory in trajectories for page in trajectory.pages]
         actions = [action for trajectory in trajectories for action in trajectory.actions]
         goals = [trajectory.goal for trajectory in trajectories for _ in trajectory.pages]
-        rewards = self.score_pairs(pages, actions, goals).numpy()
-        return np.split(rewards, np.cumsum([len(trajectory) for trajectory in trajectories])[:-1])
+        logits = self._logits(pages, actions, goals)
+        lengths = [len(trajectory) for trajectory in trajectories]
+        return [part.numpy() for part in episode_rewards(logits, lengths, self.form, self.clip)]
+
+    @torch.no_grad()
+    def _logits(self, pages: Sequence[Page], actions: Sequence[Action], goals: Sequence[Goal]) -> Tensor:
+        rows = [featurise(page, goal, self.vectors) for page, goal in zip(pages, goals, strict=True)]
+        self.net.eval()
+        logits: Tensor = self.net(collate(rows), collate_actions(actions)).squeeze(1)
+        return logits
 
 
 def build_reward(config: Config, weights: Weights | None = None) -> RewardModel:

@@ -3,33 +3,35 @@
 from __future__ import annotations
 
 import json
-import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from threading import Event
-from types import FrameType
 from typing import Any, Protocol
 
+import numpy as np
 import torch
 
 from giirl.config import Config, dump_config
+from giirl.goals import is_held_out
 from giirl.metrics import Metrics, write_targets
 from giirl.progress import Display, Job
 from giirl.run_demos import gather
 from giirl.run_evaluate import evaluate
 from giirl.run_folder import RunFolder
 from giirl.run_serial import SerialRuntime
+from giirl.run_stopping import stopping
 from giirl.run_workers import WorkersRuntime
 from giirl.spec import Episode, Trajectory, Weights
 from giirl.statistics import lowest_window
-from learner.checkpoint import save_checkpoint
-from learner.giirl import ALGORITHMS
+from learner.algorithms import ALGORITHMS
+from learner.checkpoint import latest_checkpoint, save_checkpoint
 from learner.learner import Learner
 
 COUNTS = "counts.json"  # of a checkpoint
+REWARDING = ("giirl", "frozen")  # algorithms that end with a learned reward
 WINDOW = 100  # training episodes in a row, for the lowest success of a run's last third
 
 
@@ -68,6 +70,8 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
         learner = Learner(config, demonstrations, metrics)
         if resume is not None:
             learner.load(resume)
+        elif config.algorithm == "frozen":
+            learner.take_reward(reward_of_run(Path(config.reward_from)))
         else:
             learner.cloning_start()
         session = Session(config, folder, learner, metrics, stop, own, display)
@@ -127,7 +131,7 @@ class Session:
         if learner.version >= config.iterations:
             return
         with self._display.busy(f"starting the {config.runtime} runtime"):
-            self._runtime = open_runtime(config, self._folder, self._metrics, self._stop, resume, self._save)
+            self._runtime = open_runtime(config, self._folder, self._metrics, self._stop, resume, self._save_if_whole)
         try:
             with self._display.busy("starting actors and reward service"):
                 self._runtime.publish(*learner.weights())
@@ -154,11 +158,15 @@ class Session:
     def take(self, episodes: int) -> list[Trajectory]:
         """Rollouts for Algorithm 1. Their outcomes stay here, for the report."""
         assert self._runtime is not None
-        taken = self._runtime.take(episodes)
-        if not taken:
-            raise Stopped
-        self._fresh, self._whole = taken, False
-        return [episode.trajectory for episode in taken]
+        self._fresh = []
+        while len(self._fresh) < episodes:
+            taken = self._runtime.take(episodes - len(self._fresh))
+            if not taken:
+                raise Stopped
+            self._whole = False
+            self._fresh += [e for e in taken if not is_held_out(e.trajectory.goal, self._config.held_out_goals)]
+        told = self._config.algorithm == "true_reward"
+        return [pay_true(episode) if told else episode.trajectory for episode in self._fresh]
 
     def lowest_last_third(self) -> dict[str, float | None]:
         """Per task, the lowest success over WINDOW sampled episodes in a row in the last third of training."""
@@ -221,6 +229,11 @@ class Session:
         save_checkpoint(self._folder.checkpoints, self._learner.version, write, keep=self._config.keep_checkpoints)
         runtime.committed()
 
+    def _save_if_whole(self) -> None:
+        """While it waits for rollouts, and has none that only this process knows."""
+        if self._whole:
+            self._save()
+
     def _tell_targets(self) -> None:
         """Write where to scrape when that has changed, and say it once."""
         assert self._runtime is not None
@@ -230,6 +243,21 @@ class Session:
             for name in targets.keys() - self._targets.keys():
                 self._display.say(f"metrics of {name}: http://{targets[name]}/metrics")
             self._targets = targets
+
+
+def reward_of_run(path: Path) -> Weights:
+    """The reward that an earlier run learned; ValueError when it learned none."""
+    folder, config = RunFolder.open(path)
+    if config.algorithm not in REWARDING:
+        raise ValueError(f"{path} learned no reward: its algorithm is {config.algorithm!r}, wanted {REWARDING[0]!r}")
+    return folder.weights(latest_checkpoint(folder.checkpoints), "reward")
+
+
+def pay_true(episode: Episode) -> Trajectory:
+    """The trajectory with the page's own sparse reward: the baseline that is told what the others have to learn."""
+    rewards = np.zeros(len(episode.trajectory), dtype=np.float32)
+    rewards[-1] = episode.outcome.raw_reward
+    return replace(episode.trajectory, rewards=rewards)
 
 
 def open_runtime(
@@ -247,23 +275,6 @@ def open_runtime(
 
     platform = RayPlatform(config, folder.path.name)
     return WorkersRuntime(config, folder, platform, metrics, stop, resume, save)
-
-
-@contextmanager
-def stopping(stop: Event) -> Iterator[None]:
-    """While this lasts Ctrl-C and SIGTERM ask politely; the second time they interrupt."""
-
-    def ask(number: int, frame: FrameType | None) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
-
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _raise_if(stop: Event) -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from actors.choosers import ExpertChooser
+from actors.choosers import ExpertChooser, RandomChooser
 from actors.rollouts import Schedule, play
 from browser_farm.experts import expert
 from browser_farm.recordings import ImportReport, find_recordings, import_recordings
 from giirl.config import Config
+from giirl.goals import is_held_out
 from giirl.metrics import Metrics
 from giirl.progress import Display
 from giirl.run_browser import open_browser
@@ -18,9 +19,16 @@ from giirl.wire import read_episodes
 
 
 def gather(config: Config, metrics: Metrics, display: Display) -> list[Episode]:
-    """The successful demonstrations that a config asks for, at most `demos.per_task` of each task."""
+    """The demonstrations that a config asks for: successful ones, at most `demos.per_task` of each task, none of a
+    goal that is held out; a share of them may then be spoiled."""
+    kept = chosen(*_offered(config, metrics, display), config)
+    return spoil(kept, config, metrics, display) if config.demos.spoiled else kept
+
+
+def _offered(config: Config, metrics: Metrics, display: Display) -> tuple[list[Episode], str]:
+    """All there are, and where they are from."""
     if config.demos.source == "scripted":
-        return chosen(make(config, metrics, display), config, "the scripted expert")
+        return make(config, metrics, display), "the scripted expert"
     if not config.demos.path:
         raise ValueError(f"demos.source is {config.demos.source!r}: wanted demos.path=FILE_OR_FOLDER beside it")
     path = Path(config.demos.path)
@@ -28,7 +36,7 @@ def gather(config: Config, metrics: Metrics, display: Display) -> list[Episode]:
         episodes, _ = recorded(path, config.tasks, config.demos.per_task, config.demos.collections or None, display)
     else:
         episodes = read_episodes(path)
-    return chosen(episodes, config, str(path))
+    return episodes, str(path)
 
 
 def make(config: Config, metrics: Metrics, display: Display) -> list[Episode]:
@@ -59,11 +67,39 @@ def recorded(
         return import_recordings(path, tasks=tasks, limit=limit, collections=collections, on_file=job.advance)
 
 
-def chosen(episodes: list[Episode], config: Config, where: str) -> list[Episode]:
+def spoil(kept: list[Episode], config: Config, metrics: Metrics, display: Display) -> list[Episode]:
+    """Put episodes of chance in the place of each task's last ones, on other pages and whatever came of them."""
+    bad = {task: round(config.demos.spoiled * sum(e.trajectory.task == task for e in kept)) for task in config.tasks}
+    schedule = Schedule(
+        config.tasks,
+        config.actors.tabs,
+        purpose=Purpose.DEMONSTRATE,
+        run_seed=config.seed,
+        first=config.demos.per_task,
+        quota=max(bad.values()),
+    )
+    browser = open_browser(config, metrics)
+    try:
+        with display.busy("spoiling demonstrations"):
+            rounds = play(browser, RandomChooser(), schedule, step_limit=config.step_limit, metrics=metrics)
+            played = [episode for finished in rounds for episode in finished]
+    finally:
+        browser.close()
+    mixed: list[Episode] = []
+    for task, count in bad.items():
+        good = [e for e in kept if e.trajectory.task == task]
+        spoiled = [e for e in played if e.trajectory.task == task]
+        spoiled.sort(key=lambda episode: episode.trajectory.seed)
+        mixed += good[: len(good) - count] + spoiled[:count]
+    return mixed
+
+
+def chosen(episodes: list[Episode], where: str, config: Config) -> list[Episode]:
     """The first `demos.per_task` successes of every task; ValueError for a task that has none."""
     kept: list[Episode] = []
     for task in config.tasks:
         mine = [e for e in episodes if e.trajectory.task == task and e.outcome.success]
+        mine = [e for e in mine if not is_held_out(e.trajectory.goal, config.held_out_goals)]
         if not mine:
             have = sorted({e.trajectory.task for e in episodes})
             raise ValueError(f"{where} has no successful demonstration of {task!r}; it has {', '.join(have) or 'none'}")

@@ -9,6 +9,7 @@ from rich.table import Table
 from actors.choosers import Chooser, NetChooser, RandomChooser
 from actors.rollouts import Schedule, play
 from giirl.config import Config
+from giirl.goals import is_held_out
 from giirl.language import load_vectors
 from giirl.metrics import Metrics
 from giirl.parameters import load_net
@@ -49,16 +50,18 @@ def evaluate(config: Config, policy: Weights, metrics: Metrics, display: Display
     return {task: _row(scores[task], floor[task]) for task in config.tasks}
 
 
-def _row(score: Score, floor: Score) -> dict[str, Any]:
+def _row(scores: tuple[Score, Score], floors: tuple[Score, Score]) -> dict[str, Any]:
+    """All pages together; and, where goals were held out, theirs and the others' apart."""
+    floor = floors[0] + floors[1]
+    row = {**_success(scores[0] + scores[1]), "random": floor.success, "random_episodes": floor.episodes}
+    if all(score.episodes for score in scores):
+        row |= {"trained_goals": _success(scores[0]), "held_out_goals": _success(scores[1])}
+    return row
+
+
+def _success(score: Score) -> dict[str, Any]:
     low, high = score.interval()
-    return {
-        "episodes": score.episodes,
-        "success": score.success,
-        "low": round(low, 4),
-        "high": round(high, 4),
-        "random": floor.success,
-        "random_episodes": floor.episodes,
-    }
+    return {"episodes": score.episodes, "success": score.success, "low": round(low, 4), "high": round(high, 4)}
 
 
 def _measure(
@@ -70,15 +73,19 @@ def _measure(
     metrics: Metrics,
     display: Display,
     what: str,
-) -> dict[str, Score]:
+) -> dict[str, tuple[Score, Score]]:
+    """Success under goals that training saw, and under those held out."""
     schedule = Schedule(config.tasks, browser.tabs, purpose=purpose, run_seed=config.seed, quota=episodes)
-    won = dict.fromkeys(config.tasks, 0)
+    scores = {task: [Score(episodes=0, successes=0), Score(episodes=0, successes=0)] for task in config.tasks}
     with display.job(what, episodes * len(config.tasks)) as job:
         for finished in play(browser, chooser, schedule, step_limit=config.step_limit, metrics=metrics):
             for episode in finished:
-                won[episode.trajectory.task] += episode.outcome.success
+                one = Score(episodes=1, successes=int(episode.outcome.success))
+                scores[episode.trajectory.task][is_held_out(episode.trajectory.goal, config.held_out_goals)] += one
             job.advance(len(finished))
-    return {task: Score(episodes=episodes, successes=won[task]) for task in config.tasks}
+    for task, (seen, unseen) in scores.items():  # pages that never opened, or showed nothing to act on, are failures
+        scores[task][0] = Score(episodes=episodes - unseen.episodes, successes=seen.successes)
+    return {task: (seen, unseen) for task, (seen, unseen) in scores.items()}
 
 
 def result_table(result: dict[str, Any]) -> Table:

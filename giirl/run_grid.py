@@ -22,7 +22,8 @@ from giirl.progress import Display, Job
 from giirl.reward_measures import state_mean
 from giirl.run_folder import RunFolder
 from giirl.run_grid_measures import Measures, learned_tables, means, measure, policy_fractions
-from learner.giirl import ALGORITHMS
+from learner.algorithms import clone
+from learner.giirl import giirl
 from learner.grid_steps import GridSource
 from learner.gridworld import GridLearner
 
@@ -96,7 +97,8 @@ def learn(config: Config, job: Job | None = None) -> GridRun:
             job.advance(1, f"return {mean:.3f} of optimal")
         measured_s += time.process_time() - begun_s
 
-    ALGORITHMS[config.algorithm](config, learner, source, _steps(config, learner), observe)
+    algorithm = clone if config.algorithm == "cloning" else giirl
+    algorithm(config, learner, source, _steps(config, learner), observe)
     run.cpu_s = time.process_time() - since_s - measured_s
     return run
 

@@ -20,6 +20,9 @@ class Score:
     def success(self) -> float:
         return self.successes / self.episodes
 
+    def __add__(self, other: Score) -> Score:
+        return Score(episodes=self.episodes + other.episodes, successes=self.successes + other.successes)
+
     def interval(self) -> tuple[float, float]:
         """The 95 % score interval of a proportion (Wilson 1927)."""
         n, p = self.episodes, self.success

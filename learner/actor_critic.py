@@ -32,8 +32,9 @@ class ActorCritic:
         self.config, self.net, self._noise, self._metrics = config, net, noise, metrics
         self.optimiser = torch.optim.Adam(net.parameters(), lr=config.learning_rate)
 
-    def update(self, rollouts: Sequence[Example], rewards: Sequence[Tensor], ask: Ask) -> dict[str, float]:
-        """Policy-optimisation steps; `rewards` [T] of the rollouts and `ask` are the discriminator's, nobody else's."""
+    def update(self, rollouts: Sequence[Example], rewards: Sequence[Tensor], ask: Ask | None) -> dict[str, float]:
+        """Policy-optimisation steps on the `rewards` [T] of the rollouts; `ask` is None where the reward of what
+        nobody did is not to be had."""
         batch, taken = collate_steps(steps_of(rollouts))
         lengths = [len(example.features) for example in rollouts]
         mask = torch.arange(max(lengths)) < torch.tensor(lengths).unsqueeze(1)
@@ -46,7 +47,7 @@ class ActorCritic:
         return stats
 
     def _descend(
-        self, batch: Batch, taken: ActionBatch, paid: Tensor, behaviour: Tensor, mask: Tensor, ask: Ask
+        self, batch: Batch, taken: ActionBatch, paid: Tensor, behaviour: Tensor, mask: Tensor, ask: Ask | None
     ) -> dict[str, float]:
         """One step on the taken and asked actions; paid, behaviour and mask are [episodes, T]."""
         actions, target = self._ask(batch, taken, ask)
@@ -70,13 +71,13 @@ class ActorCritic:
         }
 
     @torch.no_grad()
-    def _ask(self, batch: Batch, taken: ActionBatch, ask: Ask) -> tuple[ActionBatch, Tensor]:
+    def _ask(self, batch: Batch, taken: ActionBatch, ask: Ask | None) -> tuple[ActionBatch, Tensor]:
         """The action taken and `asked` others on every page [B, 1 + M], and the soft-optimal choice among those [B, M].
 
         Actions come from q, half policy and half chance, so each counts with exp(r / alpha) / q.
         """
         count = self.config.asked
-        if not count:
+        if ask is None or not count:
             return taken, torch.zeros(len(batch), 0)
         flat = torch.arange(count) % 2 == 1
         uniform = torch.rand(len(batch), count, 3, generator=self._noise)

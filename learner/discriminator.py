@@ -12,12 +12,13 @@ from giirl.config import DiscriminatorConfig
 from giirl.features import ActionBatch, Batch, rename
 from giirl.metrics import Metrics, timed_update
 from giirl.models import Policy
-from giirl.reward import RewardModel, reward_of
+from giirl.reward import RewardModel, episode_rewards, reward_of
 from giirl.spec import UNSCORED
-from learner.examples import Example, ExpertSampler, Replay, Step, collate_steps, pick_step, steps_of
-from learner.losses import gradient_penalty, logistic_loss
+from learner.examples import Example, ExpertSampler, Replay, Step, collate_steps, last_step, pick_step, steps_of
+from learner.losses import gradient_penalty, logistic_loss, trimmed
 
 EXPERT = "expert"
+OWN = ("rollouts", "replay")  # steps that the policy took, at some time
 ACCURACY = "d_accuracy_"
 
 
@@ -29,15 +30,15 @@ class Discriminator:
         config: DiscriminatorConfig,
         model: RewardModel,
         demos: ExpertSampler,
+        replay: Replay,
         draw: np.random.Generator,
         noise: torch.Generator,
         *,
         reward_lag: int,
         metrics: Metrics,
     ) -> None:
-        self.config, self.model, self.demos = config, model, demos
+        self.config, self.model, self.demos, self.replay = config, model, demos, replay
         self._reward_lag, self._metrics = reward_lag, metrics
-        self.replay = Replay(config.replay_size, draw)
         self.optimiser = torch.optim.AdamW(
             model.net.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
         )
@@ -79,27 +80,33 @@ class Discriminator:
         """r(s_t, a_t | g) [T] of every rollout by the net as it is now."""
         if not rollouts:
             return []
-        rewards = self.ask(*collate_steps(steps_of(rollouts))).squeeze(1)
-        return list(rewards.split([len(example.features) for example in rollouts]))
+        lengths = [len(example.features) for example in rollouts]
+        logits = self._judge(*collate_steps(steps_of(rollouts))).squeeze(1)
+        return episode_rewards(logits, lengths, self.config.reward, self.config.clip)
 
-    @torch.no_grad()
     def ask(self, batch: Batch, actions: ActionBatch) -> Tensor:
         """r(s, a | g) [B, M] of M actions on each page, taken or not."""
+        return reward_of(self._judge(batch, actions), self.config.reward, self.config.clip)
+
+    @torch.no_grad()
+    def _judge(self, batch: Batch, actions: ActionBatch) -> Tensor:
         self.model.net.eval()
-        return reward_of(self.model.net(batch, actions), self.config.reward, self.config.clip)
+        logits: Tensor = self.model.net(batch, actions)
+        return logits
 
     def _sources(
         self, expert: Sequence[Example], rollouts: Sequence[Example], policy: Policy
     ) -> dict[str, tuple[float, list[Step]]]:
         """Steps by where they come from, with the weight each counts with; the expert's come first."""
         config, draw = self.config, self._draw
-        shown = [pick_step(expert[i % len(expert)], draw) for i in range(config.batch)]
+        pick = pick_step if config.judges == "steps" else last_step
+        shown = [pick(expert[i % len(expert)], draw) for i in range(config.batch)]
         sources = {EXPERT: (1.0, shown)}
-        new = [pick_step(rollouts[i], draw) for i in draw.integers(len(rollouts), size=config.batch)]
+        new = [pick(rollouts[i], draw) for i in draw.integers(len(rollouts), size=config.batch)]
         if config.rollouts:
             sources["rollouts"] = (config.rollouts, new)
         if config.replay:
-            sources["replay"] = (config.replay, self.replay.sample(config.batch))
+            sources["replay"] = (config.replay, [pick(old, draw) for old in self.replay.sample(config.batch)])
         if config.demo_states:
             sources["demo_states"] = (config.demo_states, self._act(shown, policy, by_chance=False))
         if config.chance:
@@ -133,7 +140,8 @@ class Discriminator:
         read = net.read(batch, actions)
         logits = net.judge(read).flatten()
         parts = dict(zip(sources, logits.split([len(steps) for _, steps in sources.values()]), strict=True))
-        loss = logistic_loss(parts[EXPERT], [(w, parts[name]) for name, (w, _) in sources.items() if name != EXPERT])
+        counted = {name: trimmed(part, config.trim) if name in OWN else part for name, part in parts.items()}
+        loss = logistic_loss(parts[EXPERT], [(w, counted[name]) for name, (w, _) in sources.items() if name != EXPERT])
         penalty = config.gradient_penalty * gradient_penalty(logits, [read]) if config.gradient_penalty else 0 * loss
         self.optimiser.zero_grad()
         (loss + penalty).backward()

@@ -118,17 +118,23 @@ class Replay:
             elif (place := int(self._draw.integers(self.seen))) < self.size:
                 self.examples[place] = example
 
-    def sample(self, steps: int) -> list[Step]:
-        """Steps of trajectories drawn with replacement; none while empty."""
+    def sample(self, count: int) -> list[Example]:
+        """Trajectories drawn with replacement; none while empty."""
         if not self.examples:
             return []
-        return [pick_step(self.examples[i], self._draw) for i in self._draw.integers(len(self.examples), size=steps)]
+        return [self.examples[i] for i in self._draw.integers(len(self.examples), size=count)]
 
 
 def pick_step(example: Example, draw: np.random.Generator) -> Step:
     """One of its steps, all equally likely."""
     t = int(draw.integers(len(example.features)))
     return Step(example.features[t], example.trajectory.actions[t])
+
+
+def last_step(example: Example, draw: np.random.Generator) -> Step:
+    """Its last step: of an episode that succeeded, the one that reached the goal."""
+    del draw
+    return Step(example.features[-1], example.trajectory.actions[-1])
 
 
 def pad(rows: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:

@@ -23,12 +23,11 @@ class Source(Protocol):
 
 
 class Learning(Protocol):
-    """The parts that learn in one world, with the verbs that the loops below use."""
+    """The parts that learn in one world, with the verbs that the loop below uses."""
 
     demos: Any  # sample(count): demonstrations
     discriminator: Any  # update(expert, rollouts, net), rewards(rollouts, version), ask(...): reward of anything
     policy: Any  # net, update(rollouts, rewards, ask)
-    cloner: Any  # update(expert)
 
     def study(self, episodes: Any) -> Any: ...
 
@@ -43,13 +42,3 @@ def giirl(config: Config, learner: Learning, source: Source, steps: Iterable[int
         rewards = discriminator.rewards(rollouts, version=step + 1)  # r(s, a | g) = log D - log(1 - D)
         p = policy.update(rollouts, rewards, discriminator.ask)  # policy optimisation (eq. 3.1)
         observe(step, {**d, **p})
-
-
-def clone(config: Config, learner: Learning, source: Source, steps: Iterable[int], observe: Observe) -> None:
-    """Behavioural cloning on the same net and demonstrations; rollouts are only watched."""
-    for step in steps:
-        source.take(config.rollout_batch)
-        observe(step, learner.cloner.update(learner.demos.sample(config.cloning.batch)))
-
-
-ALGORITHMS = {"giirl": giirl, "cloning": clone}

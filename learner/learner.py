@@ -11,7 +11,7 @@ import numpy as np
 import safetensors.torch
 import torch
 from safetensors import SafetensorError
-from torch import nn
+from torch import Tensor, nn
 
 from giirl.config import Config
 from giirl.language import load_vectors
@@ -23,7 +23,8 @@ from giirl.wire import read_episodes, write_episodes
 from learner.actor_critic import ActorCritic
 from learner.cloning import Cloner
 from learner.discriminator import Discriminator
-from learner.examples import Example, ExpertSampler, study
+from learner.examples import Example, ExpertSampler, Replay, study
+from learner.soft_q import SoftQ
 
 UNKNOWN_OUTCOME = Outcome(raw_reward=0.0, ended=False)  # replay is for training: it never knew
 
@@ -37,10 +38,12 @@ class Learner:
         self._draw = np.random.default_rng([config.seed, 0])
         self._noise = torch.Generator().manual_seed(config.seed)
         self.demos = ExpertSampler(demonstrations, self.vectors, self._draw)
+        self.replay = Replay(config.discriminator.replay_size, self._draw)
         self.discriminator = Discriminator(
             config.discriminator,
             build_reward(config),
             self.demos,
+            self.replay,
             self._draw,
             self._noise,
             reward_lag=config.stream.reward_lag,
@@ -49,6 +52,7 @@ class Learner:
         net = build_policy(config)
         self.policy = ActorCritic(config.policy, net, self._noise, metrics=metrics)
         self.cloner = Cloner(config.cloning, net, self._noise, metrics=metrics)
+        self.soft_q = SoftQ(config.soft_q, config.algorithm, net, self.replay, self._draw, metrics=metrics)
         self.config = config
         self.version = 0  # steps done
 
@@ -56,10 +60,14 @@ class Learner:
         """Trajectories as the nets see them."""
         return [study(trajectory, self.vectors) for trajectory in trajectories]
 
+    def told(self, rollouts: Sequence[Example]) -> list[Tensor]:
+        """The rewards [T] that rollouts brought along, whoever gave them."""
+        return [torch.from_numpy(example.trajectory.rewards) for example in rollouts]
+
     def anneal(self, step: int) -> None:
         """Set the learning rates of step 0 .. iterations - 1: a reward that still moves unsettles a solved policy."""
         done = step / max(self.config.iterations - 1, 1)
-        for part in (self.discriminator, self.policy):
+        for part in (self.discriminator, self.policy, self.soft_q):
             rate = part.config.learning_rate * (1 - done * (1 - part.config.final_rate))
             for group in part.optimiser.param_groups:
                 group["lr"] = rate
@@ -68,6 +76,10 @@ class Learner:
         """Clone for `policy.cloning_start` updates before anything else; none by default."""
         for _ in range(self.config.policy.cloning_start):
             self.cloner.update(self.demos.sample(self.config.cloning.batch))
+
+    def take_reward(self, weights: Weights) -> None:
+        """Reward with another run's net; ValueError when it has another shape."""
+        load_net(self.discriminator.model.net, weights)
 
     def weights(self) -> tuple[Weights, Weights]:
         """Policy and reward as they are now."""
@@ -83,12 +95,11 @@ class Learner:
             (folder / f"{name}.safetensors").write_bytes(seal_net(net, self.version).blob)
         for name, optimiser in self._optimisers().items():
             (folder / f"{name}_optimiser.safetensors").write_bytes(_save_optimiser(optimiser))
-        replay = self.discriminator.replay
-        episodes = [Episode(trajectory=e.trajectory, outcome=UNKNOWN_OUTCOME) for e in replay.examples]
+        episodes = [Episode(trajectory=e.trajectory, outcome=UNKNOWN_OUTCOME) for e in self.replay.examples]
         write_episodes(folder / "replay.giirl", episodes)
         state = {
             "version": self.version,
-            "replay_seen": replay.seen,
+            "replay_seen": self.replay.seen,
             "draw": self._draw.bit_generator.state,
             "noise": bytes(self._noise.get_state().tolist()).hex(),
         }
@@ -107,9 +118,8 @@ class Learner:
             load_net(net, Weights.seal(state["version"], (folder / f"{name}.safetensors").read_bytes()))
         for name, optimiser in self._optimisers().items():
             _load_optimiser(optimiser, (folder / f"{name}_optimiser.safetensors").read_bytes())
-        replay = self.discriminator.replay
-        replay.examples = self.study([e.trajectory for e in read_episodes(folder / "replay.giirl")])
-        replay.seen = state["replay_seen"]
+        self.replay.examples = self.study([e.trajectory for e in read_episodes(folder / "replay.giirl")])
+        self.replay.seen = state["replay_seen"]
         self._draw.bit_generator.state = state["draw"]
         self._noise.set_state(torch.tensor(list(bytes.fromhex(state["noise"])), dtype=torch.uint8))
         self.version = state["version"]
@@ -122,6 +132,7 @@ class Learner:
             "policy": self.policy.optimiser,
             "reward": self.discriminator.optimiser,
             "cloning": self.cloner.optimiser,
+            "soft_q": self.soft_q.optimiser,
         }
 
 

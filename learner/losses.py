@@ -23,6 +23,32 @@ def logistic_loss(expert: Tensor, negatives: Sequence[tuple[float, Tensor]]) -> 
     return loss
 
 
+def trimmed(logits: Tensor, share: float) -> Tensor:
+    """All logits [B] but the highest `share`: near success, what the policy does is what the expert does, and calling
+    it wrong would undo it (AGILE; Bahdanau et al. 2019, section 3.2)."""
+    kept = len(logits) - int(share * len(logits))
+    return logits.topk(kept, largest=False).values if kept < len(logits) else logits
+
+
+def sqil_loss(expert: Tensor, rollouts: Tensor) -> Tensor:
+    """Squared soft Bellman errors with reward 1 for the expert and 0 for the policy (SQIL; Reddy et al. 2020, eq. 7).
+
+    Both [B] hold Q(s, a) - gamma V(s'), which for a fixed V(s') is the reward that Q implies.
+    """
+    return (expert - 1).pow(2).mean() + rollouts.pow(2).mean()
+
+
+def iq_loss(expert: Tensor, rollouts: Tensor, drop: Tensor, chi: float) -> Tensor:
+    """The negative of IQ-Learn's objective with a chi-square divergence (Garg et al. 2021, eq. 9 and section 5.2).
+
+    `expert` and `rollouts` [B] hold the implied reward x = Q(s, a) - gamma V(s'); `drop` [B] holds V(s) - gamma V(s')
+    of steps of both, whose mean is (1 - gamma) V at the start. x counts with x - x^2 / (4 chi) where the expert
+    acts; the square is taken over the policy's steps too, as the authors advise where rollouts are at hand.
+    """
+    both = torch.cat([expert, rollouts])
+    return drop.mean() - expert.mean() + both.pow(2).mean() / (4 * chi)
+
+
 def gradient_penalty(logits: Tensor, inputs: Sequence[Tensor]) -> Tensor:
     """E |d logit / d input|^2, centred on zero (Mescheder et al. 2018); inputs [B, ...] require grad."""
     gradients = torch.autograd.grad(logits.sum(), inputs, create_graph=True)

@@ -14,7 +14,8 @@ from giirl.config import Config, DiscriminatorConfig, NetConfig, PolicyConfig
 from giirl.metrics import Metrics
 from giirl.parameters import hash_nets, load_net, seal_net
 from giirl.spec import Trajectory, Weights
-from learner.giirl import ALGORITHMS, giirl
+from learner.algorithms import ALGORITHMS
+from learner.giirl import giirl
 from learner.learner import Learner
 from tests.learning.samples import expert_episodes, policy, reward_net
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor, nn
 
-from giirl.reward import reward_of
+from giirl.reward import FORMS, reward_of
 from learner.losses import gradient_penalty, logistic_loss, vtrace
 
 
@@ -56,16 +56,18 @@ def test_reward_forms_are_what_their_names_say_of_the_discriminator(logit: float
     assert reward_of(x, "logit", 5.0).item() == pytest.approx(math.log(D) - math.log(1 - D), abs=1e-9)
     assert reward_of(x, "d", 5.0).item() == pytest.approx(D)
     assert reward_of(x, "log_d", 5.0).item() == pytest.approx(math.log(D))
+    assert reward_of(x, "gail", 5.0).item() == pytest.approx(-math.log(1 - D))
+    assert reward_of(x, "goal", 5.0).item() == float(logit > 0)
 
 
-@pytest.mark.parametrize("form", ["logit", "d", "log_d"])
+@pytest.mark.parametrize("form", FORMS)
 def test_a_clipped_logit_bounds_every_reward_form(form: str) -> None:
     far, edge = torch.tensor([-50.0, 50.0]), torch.tensor([-2.0, 2.0])
     assert torch.equal(reward_of(far, form, 2.0), reward_of(edge, form, 2.0))
 
 
 def test_an_unknown_reward_form_names_those_there_are() -> None:
-    with pytest.raises(ValueError, match="'lodgit': wanted 'logit', 'd' or 'log_d'"):
+    with pytest.raises(ValueError, match="'lodgit': wanted one of logit, d, log_d, gail, goal"):
         reward_of(torch.zeros(1), "lodgit", 5.0)
 
 

@@ -1,0 +1,62 @@
+"""Every algorithm by its name: Algorithm 1, its two halves alone, and what it is compared with on the same nets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Protocol
+
+from giirl.config import Config
+from learner.giirl import Learning, Observe, Source, giirl
+
+
+class Cloning(Learning, Protocol):
+    """A learner that can also do without a reward."""
+
+    cloner: Any  # update(expert)
+
+
+class Comparable(Cloning, Protocol):
+    """One that can do all that its own is compared with."""
+
+    soft_q: Any  # update(expert, rollouts)
+
+    def told(self, rollouts: Any) -> Any: ...
+
+
+def clone(config: Config, learner: Cloning, source: Source, steps: Iterable[int], observe: Observe) -> None:
+    """Behavioural cloning on the same net and demonstrations; rollouts are only watched."""
+    for step in steps:
+        source.take(config.rollout_batch)
+        observe(step, learner.cloner.update(learner.demos.sample(config.cloning.batch)))
+
+
+def follow(config: Config, learner: Comparable, source: Source, steps: Iterable[int], observe: Observe) -> None:
+    """A fresh policy on a reward that was learned before and stays as it is."""
+    for step in steps:
+        rollouts = learner.study(source.take(config.rollout_batch))
+        rewards = learner.discriminator.rewards(rollouts, version=step + 1)
+        observe(step, learner.policy.update(rollouts, rewards, learner.discriminator.ask))
+
+
+def reinforce(config: Config, learner: Comparable, source: Source, steps: Iterable[int], observe: Observe) -> None:
+    """The same policy optimisation on the page's own sparse reward, which the source then tells."""
+    for step in steps:
+        rollouts = learner.study(source.take(config.rollout_batch))
+        observe(step, learner.policy.update(rollouts, learner.told(rollouts), None))
+
+
+def imitate(config: Config, learner: Comparable, source: Source, steps: Iterable[int], observe: Observe) -> None:
+    """SQIL or IQ-Learn: soft Q-learning from demonstrations and rollouts, with no reward in between."""
+    for step in steps:
+        rollouts = learner.study(source.take(config.rollout_batch))
+        observe(step, learner.soft_q.update(learner.demos.sample(config.soft_q.batch), rollouts))
+
+
+ALGORITHMS = {
+    "giirl": giirl,
+    "cloning": clone,
+    "frozen": follow,
+    "true_reward": reinforce,
+    "sqil": imitate,
+    "iq_learn": imitate,
+}

@@ -1,0 +1,91 @@
+"""Imitation without a discriminator, for comparison: SQIL and IQ-Learn on the policy's own net."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from giirl.config import SoftQConfig
+from giirl.features import collate
+from giirl.metrics import Metrics, timed_update
+from giirl.models import Policy
+from learner.actor_critic import descend
+from learner.examples import Example, Replay, Step, collate_steps
+from learner.losses import iq_loss, sqil_loss
+
+
+class SoftQ:
+    """Soft Q-learning from demonstrations and rollouts that nobody scores.
+
+    Q(s, a | g) = V(s | g) + alpha log pi(a | s, g): every soft Q function is of this form, with V its soft value and
+    pi the policy that is optimal for it, so the net of an actor-critic is one of soft Q-learning as well. An
+    episode that is over is worth nothing more.
+    """
+
+    def __init__(
+        self,
+        config: SoftQConfig,
+        form: str,  # "sqil" or "iq_learn"
+        net: Policy,
+        replay: Replay,
+        draw: np.random.Generator,
+        *,
+        metrics: Metrics,
+    ) -> None:
+        self.config, self.form, self.net, self.replay, self._draw = config, form, net, replay, draw
+        self._metrics = metrics
+        self.optimiser = torch.optim.Adam(net.parameters(), lr=config.learning_rate)
+
+    def update(self, expert: Sequence[Example], rollouts: Sequence[Example]) -> dict[str, float]:
+        """Train on fresh draws from `expert` and from all rollouts so far."""
+        self.replay.add(rollouts)
+        stats: dict[str, float] = {}
+        for _ in range(self.config.updates):
+            with timed_update(self._metrics, "policy"):
+                stats = self._descend(expert, self.replay.sample(self.config.batch))
+        return stats
+
+    def _descend(self, expert: Sequence[Example], played: Sequence[Example]) -> dict[str, float]:
+        config = self.config
+        shown = [expert[i % len(expert)] for i in range(config.batch)]
+        now, ahead = _transitions([*shown, *played], self._draw)
+        logp, entropy, value = self.net.evaluate(*collate_steps(now))
+        following = self._values_ahead(ahead, learned=self.form == "iq_learn")
+        q = value + config.temperature * logp.squeeze(1)
+        implied, drop = q - config.gamma * following, value - config.gamma * following
+        of_expert, of_policy = implied[: len(shown)], implied[len(shown) :]
+        loss = (
+            sqil_loss(of_expert, of_policy) if self.form == "sqil" else iq_loss(of_expert, of_policy, drop, config.chi)
+        )
+        descend(self.optimiser, self.net, loss, config.max_norm)
+        return {
+            "p_loss": loss.item(),
+            "p_entropy": entropy.mean().item(),
+            "p_implied_expert": of_expert.mean().item(),
+            "p_implied_rollouts": of_policy.mean().item(),
+        }
+
+    def _values_ahead(self, ahead: Sequence[Step | None], *, learned: bool) -> Tensor:
+        """V(s') [B], 0 where the episode is over. SQIL's is fixed while Q moves towards it, IQ-Learn's is learned."""
+        values = torch.zeros(len(ahead))
+        going_on = [b for b, step in enumerate(ahead) if step is not None]
+        if going_on:
+            batch = collate([step.features for step in ahead if step is not None])
+            with torch.set_grad_enabled(learned):
+                values = values.index_put((torch.tensor(going_on),), self.net.worth(batch))
+        return values
+
+
+def _transitions(examples: Sequence[Example], draw: np.random.Generator) -> tuple[list[Step], list[Step | None]]:
+    """One step of each example, all equally likely, and the step after it, None after the last."""
+    now: list[Step] = []
+    ahead: list[Step | None] = []
+    for example in examples:
+        steps = [Step(f, a) for f, a in zip(example.features, example.trajectory.actions, strict=True)]
+        t = int(draw.integers(len(steps)))
+        now.append(steps[t])
+        ahead.append(steps[t + 1] if t + 1 < len(steps) else None)
+    return now, ahead
