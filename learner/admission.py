@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from giirl import delivery, wire
-from giirl.columns import Columns
+from giirl.columns import Columns, take
 from giirl.metrics import Metrics
 from giirl.spec import DEMONSTRATION, UNSCORED, Episode
 from giirl.wire import Header, Stamp, WireError
@@ -41,8 +41,12 @@ class IngestLimits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Queued:
-    episode: Episode
-    owner: Account | None  # None: from a checkpoint
+    """An episode as it came. It becomes one of ours when it is taken, by the thread that takes it."""
+
+    header: Header
+    arrays: Columns
+    version: int  # of its policy
+    owner: Account
     size: int
 
 
@@ -64,9 +68,9 @@ class Admission:
         self._reward_version = reward_version
         self._limits = limits
         self._metrics = metrics
-        self._queue = deque(_Queued(episode=episode, owner=None, size=0) for episode in held.episodes)
+        self._queue: deque[_Queued] = deque()
         self._bytes = 0
-        self._taken: list[Episode] = []  # of a take that has not come to its end
+        self._taken: list[Episode] = list(held.episodes)  # of a take that has not come to its end
         self._untold: set[str] = set()  # actors whose grant has changed
         self._actors = {mark.actor: Account.resume(mark) for mark in held.marks}
         self._counts = Counter(held.counts)
@@ -117,16 +121,16 @@ class Admission:
         In lock-step they come in an order of their own, whoever was first, and none of them twice.
         """
         version = self._policy_version()
-        fresh = [episode for episode in self._taken if not self._is_stale(episode, version)]
+        fresh = [e for e in self._taken if not self._is_stale(e.trajectory.policy_version, version)]
         self._drop("stale_queued", len(self._taken) - len(fresh))
         self._taken = fresh
         pages = {_page(episode) for episode in fresh}
         full = self._bytes >= self._limits.max_bytes
         while self._queue and len(self._taken) < episodes:
-            episode = self._leave_queue()
-            if self._is_stale(episode, version):
-                self._drop("stale_queued")
-            elif not self._limits.max_lag and _page(episode) in pages:
+            episode = self._leave_queue(version)
+            if episode is None:
+                continue
+            if not self._limits.max_lag and _page(episode) in pages:
                 self._drop("repeated")
             else:
                 pages.add(_page(episode))
@@ -151,8 +155,11 @@ class Admission:
 
     def snapshot(self) -> Held:
         """Everything accepted and not yet pulled, what has been judged, and what became of it."""
+        version = self._policy_version()
+        built = [episode for _ in range(len(self._queue)) if (episode := self._leave_queue(version))]
+        self._taken += built
         return Held(
-            episodes=(*self._taken, *(entry.episode for entry in self._queue)),
+            episodes=tuple(self._taken),
             marks=tuple(actor.mark() for actor in self._actors.values()),
             counts=dict(self._counts),
         )
@@ -201,31 +208,40 @@ class Admission:
         self._metrics.trajectories_received.inc()
         actor.judge(stamp.sequence)
         try:
-            episode = wire.build_episode(header, arrays)
-            if episode.trajectory.policy_version <= DEMONSTRATION:
-                raise WireError(f"a rollout has policy version {episode.trajectory.policy_version}")
             with wire.untrusted():
-                episode.trajectory.check_learned()
+                version = take(header, "policy_version", int)
+            if version <= DEMONSTRATION:
+                raise WireError(f"a rollout has policy version {version}")
         except WireError as error:
-            LOG.warning("dropped episode %d of %s: %s", stamp.sequence, stamp.actor, error)
-            return self._drop("invalid")
-        if self._is_stale(episode, self._policy_version()):
+            return self._drop_invalid(stamp.actor, error)
+        if self._is_stale(version, self._policy_version()):
             return self._drop("stale")
-        self._queue.append(_Queued(episode=episode, owner=actor, size=size))
+        self._queue.append(_Queued(header=header, arrays=arrays, version=version, owner=actor, size=size))
         self._bytes += size
         actor.queued += 1
 
-    def _leave_queue(self) -> Episode:
+    def _leave_queue(self, version: int) -> Episode | None:
+        """The next one; None when it is not worth having."""
         entry = self._queue.popleft()
         self._bytes -= entry.size
-        if entry.owner:
-            entry.owner.queued -= 1
-            self._untold.add(entry.owner.actor)
-        return entry.episode
+        entry.owner.queued -= 1
+        self._untold.add(entry.owner.actor)
+        if self._is_stale(entry.version, version):
+            self._drop("stale_queued")
+            return None
+        try:
+            return wire.build_episode(entry.header, entry.arrays)
+        except WireError as error:
+            self._drop_invalid(entry.owner.actor, error)
+            return None
 
-    def _is_stale(self, episode: Episode, version: int) -> bool:
+    def _drop_invalid(self, actor: str, error: WireError) -> None:
+        LOG.warning("dropped an episode of %s: %s", actor, error)
+        self._drop("invalid")
+
+    def _is_stale(self, played: int, version: int) -> bool:
         # A policy from ahead of a learner that went back to a checkpoint is as far away as one from behind.
-        return abs(version - episode.trajectory.policy_version) > self._limits.max_lag
+        return abs(version - played) > self._limits.max_lag
 
     def _observe(self, episode: Episode, version: int) -> None:
         self._metrics.policy_lag.observe(max(0, version - episode.trajectory.policy_version))

@@ -163,6 +163,7 @@ def test_a_whole_message_with_an_impossible_episode_is_judged_invalid_and_not_as
     header, arrays = wire.decode(wire.encode_episode(episode(1), stamp=stamp))
     learner.books.hear(b"a", wire.encode(header, {**arrays, "element": np.array([77], np.int32)}))
     learner.episode(1, policy_version=-1)  # a demonstration is no rollout
+    assert learner.books.pull(1) is None
     assert learner.dropped("invalid") == 2
     assert learner.grant().floor == 2
     assert learner.books.queued == 0

@@ -76,7 +76,7 @@ class Stage:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
-    monkeypatch.setattr(supervision.time, "monotonic", made.monotonic)
+    monkeypatch.setattr("giirl.supervision.time", made)
     return made
 
 
