@@ -17,6 +17,7 @@ from ray.exceptions import RayError
 from tenacity import retry, retry_if_exception, stop_after_attempt
 
 from giirl.config import Config
+from giirl.run_bench_peers import Echo
 from giirl.run_processes import ActorProcess, RewardProcess
 from giirl.supervision import Gone
 
@@ -45,7 +46,7 @@ class RewardOnRay(_OnRay, RewardProcess):
     """A reward service where Ray put it."""
 
 
-KINDS = {"actor": ActorOnRay, "reward-service": RewardOnRay}
+KINDS = {"actor": ActorOnRay, "reward-service": RewardOnRay, "echo": Echo}
 
 
 class RayCall:

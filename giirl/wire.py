@@ -225,24 +225,29 @@ def _unpack_header(body: bytes) -> tuple[Header, list[Any]]:
     raise WireError(f"a header is {content!r:.80}, wanted fields with a kind and a list of columns")
 
 
-def _column(entry: object, frame: bytes) -> tuple[str, Column]:
-    """Every message has dozens of these: what is plain is let through before anything is looked at twice."""
-    match entry:
-        case [str() as name, str() as dtype, list() as shape] if dtype in DTYPES and len(shape) <= MAX_DIMS:
-            kind = DTYPES[dtype]
-        case _:
-            raise WireError(f"a column is described as {entry!r:.80}, wanted name, type and shape")
-    size = kind.itemsize
-    for length in shape:
-        if type(length) is not int or not 0 <= length <= MAX_BYTES:
-            raise WireError(f"column {name!r:.80} has shape {shape!r:.80}")
-        size *= length
+def _column(entry: Any, frame: bytes) -> tuple[str, Column]:
+    """Every message has dozens of these, so what is as it should be passes few questions."""
+    try:
+        name, dtype, shape = entry
+        kind = DTYPES[dtype]
+        size = kind.itemsize * math.prod(shape)
+        sound = type(name) is str and type(shape) is list and len(shape) <= MAX_DIMS
+    except (TypeError, ValueError, KeyError):
+        sound = False
+    if not sound:
+        raise WireError(f"a column is described as {entry!r:.80}, wanted name, type and shape")
+    if not (len(shape) == 1 and type(shape[0]) is int and size >= 0) and not _is_shape(shape):
+        raise WireError(f"column {name!r:.80} has shape {shape!r:.80}")
     if size != len(frame):
         raise WireError(f"column {name!r:.80} of shape {shape} and type {dtype} comes with {len(frame)} bytes")
-    if dtype == "|b1" and frame.strip(b"\0\1"):
+    if dtype == "|b1" and frame.translate(None, b"\0\1"):
         raise WireError(f"column {name!r:.80} holds a byte above 1, wanted 0 for False and 1 for True")
     flat = np.frombuffer(frame, dtype=kind)
     return name, flat if len(shape) == 1 else flat.reshape(shape)
+
+
+def _is_shape(shape: list[object]) -> bool:
+    return all(type(length) is int and 0 <= length <= MAX_BYTES for length in shape)
 
 
 def _number(data: bytes, offset: int) -> tuple[int, int]:
