@@ -11,6 +11,7 @@ from typing import Any, Never
 import click
 from rich.table import Column, Table
 
+from giirl.cli_actors import actors
 from giirl.cli_bench import bench
 from giirl.cli_demos import demos, writable
 from giirl.cli_reproduce import reproduce
@@ -158,6 +159,7 @@ def toggle(run: Path, task: str, pages: int, json_file: Path | None) -> None:
     )
 
 
+giirl.add_command(actors)
 giirl.add_command(bench)
 giirl.add_command(demos)
 giirl.add_command(reproduce)

@@ -22,6 +22,7 @@ from giirl.transport import Keys
 
 INCARNATIONS = 1 << 12
 SEQUENCES = 1 << 24
+LOOP_S = 0.01  # between two rounds through all actors
 LOOK_S = 0.05  # between two looks at the version of the learner
 VERSION = "version"
 LIMITS = UplinkLimits(pause_at=4, max_kept_bytes=256 << 10, beat_s=0.2, hello_s=0.1)
@@ -132,7 +133,7 @@ def crowd(
                     player.play(model, version)
             except Refused:
                 players.remove(player)
-        time.sleep(0.001)
+        time.sleep(LOOP_S)
     hand_over(players)
 
 

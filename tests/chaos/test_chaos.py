@@ -14,7 +14,7 @@ import pytest
 from tests.chaos.namespaces import missing
 from tests.chaos.scripts import play
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]
 
 
 def settings(**values: Any) -> str:
@@ -26,8 +26,8 @@ def test_through_every_fault_each_finished_episode_is_trained_on_once_or_in_a_co
 ) -> None:
     short = {"crowds": 4, "players": 5, "faults": 15, "episodes": 2_000}
     long = {"crowds": 6, "players": 40, "faults": 220, "episodes": 105_000}
-    words = settings(**(long if full else short), seed=7, deadline_s=1000 if full else 100)
-    ledger = play("storm", tmp_path, words, timeout_s=1150 if full else 200, result="ledger.json")
+    words = settings(**(long if full else short), seed=7, deadline_s=1300 if full else 150)
+    ledger = play("storm", tmp_path, words, timeout_s=1450 if full else 280, result="ledger.json")
     assert ledger["unaccounted"] == 0, ledger
     assert ledger["trained_twice"] == ledger["never_finished"] == 0, ledger
     assert ledger["trained"] == ledger["taken_by_the_books"] > 0
