@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from browser_farm.experts import Stuck
 from giirl.features import collate, featurise
 from giirl.language import Vectors
 from giirl.models import Policy
@@ -56,13 +57,19 @@ class NetChooser:
 
 
 class ExpertChooser:
-    """A scripted expert for every task."""
+    """A scripted expert for every task; one that finds nothing to do waits, and its episode ends at the step limit."""
 
     def __init__(self, expert: Callable[[str], Callable[[Observation], Action]]) -> None:
         self._expert = expert
 
     def __call__(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Choice]:
-        return [Choice(self._expert(seen.episode.task)(seen), 0.0, DEMONSTRATION) for seen in observations]
+        return [Choice(self._play(seen), 0.0, DEMONSTRATION) for seen in observations]
+
+    def _play(self, seen: Observation) -> Action:
+        try:
+            return self._expert(seen.episode.task)(seen)
+        except Stuck:
+            return Action(verb=Verb.WAIT)
 
 
 class RandomChooser:

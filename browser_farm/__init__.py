@@ -1,4 +1,13 @@
 """Where pages come from: Chrome and its tabs, the MiniWoB tasks, human demonstrations, and a fake browser.
 
-Import the module that is wanted (`browser_farm.farm`, `browser_farm.fake`, ...): this package loads nothing.
+Importing the package makes `giirl/MiniWoB-v0` known to Gymnasium and loads nothing else: Chrome, and what speaks with
+it, come with the first environment, or with the module that is wanted (`browser_farm.farm`, `browser_farm.fake`, ...).
 """
+
+from gymnasium import register
+
+register(
+    id="giirl/MiniWoB-v0",
+    entry_point="browser_farm.env:MiniWoB",
+    vector_entry_point="browser_farm.vector_env:MiniWoBVector",
+)

@@ -46,6 +46,7 @@ FLAGS = (
     "--force-color-profile=srgb",
     "--force-device-scale-factor=1",
     "--host-resolver-rules=MAP * ~NOTFOUND",  # a page has no network
+    "--lang=en-US",
     "--metrics-recording-only",
     "--mute-audio",
     "--no-default-browser-check",
@@ -91,7 +92,11 @@ def _short_directory() -> str:
 
 
 class Chrome:
-    """One running Chrome. `debugger_address` is host:port; `end` leaves no process and no file behind."""
+    """One running Chrome; `end` leaves no process and no file behind.
+
+    `debugger_address` is host:port, `first_target` the tab it began with, `hub_url` an empty page that is as near
+    to the task pages as they are to each other.
+    """
 
     def __init__(self, *, headless: bool, no_sandbox: bool | None, timeout_s: float) -> None:
         binary = find("GIIRL_CHROME", CHROMES, "Chrome")
@@ -101,8 +106,12 @@ class Chrome:
         self._connection: RemoteConnection | None = None
         self._reaper = reaper.Reaper(self.directory)
         try:
-            capabilities = self._launch(binary, driver, headless, no_sandbox, timeout_s).capabilities
-            self.debugger_address = str(capabilities["goog:chromeOptions"]["debuggerAddress"])
+            session = self._launch(binary, driver, headless, no_sandbox, timeout_s)
+            self.debugger_address = str(session.capabilities["goog:chromeOptions"]["debuggerAddress"])
+            self.first_target = str(session.current_window_handle)
+            hub = self.directory / "hub.html"
+            hub.write_text("<!DOCTYPE html>", encoding="utf-8")
+            self.hub_url = hub.as_uri()
         except BaseException:
             self.end()
             raise
@@ -120,7 +129,7 @@ class Chrome:
             log_output=subprocess.DEVNULL,
             # Own session: Ctrl-C in the owner's terminal is the owner's to handle.
             popen_kw={"start_new_session": True},
-            env={**os.environ, reaper.MARK: str(self.directory), "TMPDIR": str(self.directory / "tmp")},
+            env={**os.environ, reaper.MARK: str(self.directory), "TZ": "UTC", "TMPDIR": str(self.directory / "tmp")},
         )
         # Selenium offers no deadline that covers all of a launch; with the processes gone its call ends.
         watchdog = threading.Timer(timeout_s, reaper.reap, [self.directory])

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
 
 from browser_farm import pages
 from browser_farm.devtools import BrowserGone
@@ -47,6 +53,7 @@ class ChromeFarm:
         launch_timeout_s: float = 60.0,
         headless: bool = True,
         no_sandbox: bool | None = None,  # None: only as root, where Chrome refuses to run otherwise
+        view: pages.View = pages.ROWS,
         on_restart: Callable[[str], None] = _tell_nobody,
     ) -> None:
         if tabs < 1:
@@ -55,12 +62,13 @@ class ChromeFarm:
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"ChromeFarm.{name} is {value}: wanted a number of seconds above 0")
         self.tabs = tabs
+        self._view = view
         self._on_restart = on_restart
         self._shown = [Shown() for _ in range(tabs)]
         self._closed = False
         self._tabs = Tabs(
             tabs,
-            script=pages.script(),
+            view=view,
             call_timeout_s=call_timeout_s,
             launch_timeout_s=launch_timeout_s,
             headless=headless,
@@ -93,7 +101,7 @@ class ChromeFarm:
 
     def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]:
         self._check(commands)
-        calls: dict[int, str] = {}
+        calls: dict[int, pages.Json] = {}
         for tab, command in commands.items():
             shown = self._shown[tab]
             if shown.episode is None:
@@ -110,11 +118,38 @@ class ChromeFarm:
             if results[tab].observation is None and command.following is not None:
                 opening[tab] = command.following
         for tab, observation in self._open(opening).items():
-            result = results[tab]
-            results[tab] = StepResult(
-                raw_reward=result.raw_reward, done=result.done, observation=observation, lost=result.lost
-            )
+            results[tab] = replace(results[tab], observation=observation)
         return results
+
+    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
+        """PNG of a part of what a tab shows: left, top, width, height in CSS px, each `scale` dots wide.
+
+        A tab that does not answer gives none, and is lost at its next step.
+        """
+        self._check({tab: None})
+        if self._shown[tab].lost:
+            return b""
+        try:
+            png = self._tabs.screenshot(tab, box, scale)
+        except BrowserGone:
+            self._relaunch()
+            return b""
+        if isinstance(png, Failure):
+            self._shown[tab].lost = png.cause
+            self._mend(tab, png, attempt=0)
+            return b""
+        return png
+
+    def screenshots(self, tabs: Iterable[int], width: int, height: int) -> dict[int, NDArray[np.uint8]]:
+        """[height, width, 3] RGB of each tab's upper left corner, one after the other: only a shown tab is drawn.
+
+        A tab that does not answer is black here and lost at its next step.
+        """
+        pictures = {tab: np.zeros((height, width, 3), dtype=np.uint8) for tab in tabs}
+        for tab, picture in pictures.items():
+            if png := self.picture(tab, (0, 0, width, height)):
+                picture[:] = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
+        return pictures
 
     def close(self) -> None:
         self._closed = True
@@ -127,12 +162,12 @@ class ChromeFarm:
             if not 0 <= tab < self.tabs:
                 raise ValueError(f"there is no tab {tab}: wanted 0 to {self.tabs - 1}")
 
-    def _ask(self, calls: Mapping[int, str]) -> dict[int, pages.Answer]:
+    def _ask(self, calls: Mapping[int, pages.Json]) -> dict[int, pages.Answer]:
         """Answers of the pages; a tab without one has been marked lost and mended."""
         answers: dict[int, pages.Answer] = {}
         try:
-            for tab, outcome in self._evaluate(calls).items():
-                answer = _read(outcome)
+            for tab, outcome in self._tabs.ask(calls).items():
+                answer = _read(outcome, self._view)
                 if isinstance(answer, Failure):
                     self._shown[tab].lost = answer.cause
                     self._mend(tab, answer, attempt=0)
@@ -142,11 +177,6 @@ class ChromeFarm:
             self._relaunch()
             return {}
         return answers
-
-    def _evaluate(self, calls: Mapping[int, str]) -> dict[int, str | Failure]:
-        outcomes = self._tabs.evaluate(calls) if calls else {}
-        later = {tab: pages.LATER for tab, outcome in outcomes.items() if outcome == pages.WAIT}
-        return {**outcomes, **self._tabs.evaluate(later, promised=True)} if later else outcomes
 
     def _advance(self, tab: int, command: Command, answer: pages.Answer | None) -> StepResult:
         """Note what the tab shows now; the result lacks an observation where the farm has to open one."""
@@ -160,7 +190,7 @@ class ChromeFarm:
         observation = None
         if answer.page is not None and shown.episode is not None and shown.goal is not None:
             observation = Observation(episode=shown.episode, page=answer.page, goal=shown.goal)
-        return StepResult(raw_reward=answer.raw_reward, done=answer.done, observation=observation)
+        return StepResult(raw_reward=answer.raw_reward, done=answer.done, observation=observation, reason=answer.reason)
 
     def _open(self, wanted: dict[int, EpisodeSpec]) -> dict[int, Observation]:
         """Open an episode in each tab, mending what breaks on the way."""
@@ -188,7 +218,7 @@ class ChromeFarm:
                     f"task {episode.task} with seed {episode.seed} does not open in tab {tab} "
                     f"after {OPEN_ATTEMPTS} attempts: {last.cause} {last.words}".rstrip()
                 )
-        return opened
+        return {tab: opened[tab] for tab in wanted}
 
     def _try_open(self, missing: Mapping[int, EpisodeSpec], opened: dict[int, Observation]) -> dict[int, Failure]:
         urls = {
@@ -198,8 +228,8 @@ class ChromeFarm:
         }
         failures = self._tabs.navigate(urls) if urls else {}
         calls = {tab: pages.start_call(episode) for tab, episode in missing.items() if tab not in failures}
-        for tab, outcome in self._evaluate(calls).items():
-            answer = _read(outcome)
+        for tab, outcome in self._tabs.ask(calls).items():
+            answer = _read(outcome, self._view)
             if isinstance(answer, Failure):
                 failures[tab] = answer
             elif answer.page is None or answer.goal is None:
@@ -214,10 +244,12 @@ class ChromeFarm:
         """Leave the tab so that loading a document in it can succeed; each attempt reaches for more."""
         self._on_restart(failure.cause)
         self._shown[tab].task = None
-        if failure.cause == "page_hung":
-            self._tabs.interrupt(tab)
-        if attempt == 1:
-            self._tabs.replace(tab)
+        if self._tabs.has_crashed(tab) or attempt == 1:
+            for other in self._tabs.rebuild(tab):
+                self._shown[other].task = None
+                if other != tab and self._shown[other].episode is not None and not self._shown[other].lost:
+                    self._on_restart("tab_crashed")
+                    self._shown[other].lost = "tab_crashed"
         elif attempt == 2 and failure.cause != "page_error":  # a new Chrome does not mend a page's own mistake
             raise BrowserGone(f"tab {tab} does not come back: {failure.cause} {failure.words}".rstrip())
 
@@ -230,12 +262,12 @@ class ChromeFarm:
         self._tabs.launch()
 
 
-def _read(outcome: str | Failure) -> pages.Answer | Failure:
+def _read(outcome: Any | Failure, view: pages.View) -> pages.Answer | Failure:
     if isinstance(outcome, Failure):
         return outcome
     if outcome == pages.GONE:
         return Failure(cause="navigated")
     try:
-        return pages.decode(outcome)
+        return pages.decode(outcome, view)
     except (ValueError, TypeError, OverflowError) as error:
         return Failure(cause="page_error", words=str(error))

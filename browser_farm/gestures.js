@@ -78,7 +78,7 @@ const gestures = (() => {
 
   function doubleClick(target, x, y) {
     click(target, x, y);
-    if (WOB_DONE_GLOBAL || !target.isConnected) return;
+    if (window.top.WOB_DONE_GLOBAL || !target.isConnected) return;
     press(target, x, y, 2);
     release(target, x, y, 2);
     mouse(target, 'dblclick', x, y, 0, true, 2);
@@ -88,7 +88,7 @@ const gestures = (() => {
     const select = option.closest('select');
     if (!select || option.closest(':disabled')) return;
     select.focus({ preventScroll: true });
-    if (select.multiple) for (const other of select.options) other.selected = other === option;
+    if (select.multiple) option.selected = !option.selected;  // as WebDriver does: two can be chosen without a key
     else select.selectedIndex = option.index;
     select.dispatchEvent(new Event('input', { bubbles: true }));
     select.dispatchEvent(new Event('change', { bubbles: true }));
@@ -165,7 +165,7 @@ const gestures = (() => {
     if (element === undefined || end === undefined) return;
     if ((element && !element.isConnected) || (end && !end.isConnected)) return;
     if (verb === PRESS) keyboard.press(element, text);
-    else if (verb === ACTIVATE) activate(element);
+    else if (verb === ACTIVATE) activate(element, text);
     else if (verb === TYPE || verb === APPEND) type(element, text, verb === TYPE);
     else if (verb <= MOUSE_UP) point(verb, element, at, by, end);
   }
@@ -186,7 +186,7 @@ const gestures = (() => {
     }
   }
 
-  function activate(element) {
+  function activate(element, text) {
     if (!element) return;
     if (element instanceof SVGElement) {
       for (const name of ['mousedown', 'mouseup', 'click']) element.dispatchEvent(new Event(name));
@@ -194,6 +194,7 @@ const gestures = (() => {
       element.click();
       element.focus();
     }
+    if (text) keyboard.type(null, text, false);
   }
 
   function type(element, text, clear) {
@@ -201,12 +202,17 @@ const gestures = (() => {
       const { x, y } = middle(element, { x: 0, y: 0 });
       click(element, x, y);
     }
-    if (!WOB_DONE_GLOBAL) keyboard.type(element, text, clear);
+    if (!window.top.WOB_DONE_GLOBAL) keyboard.type(element, text, clear);
   }
 
+  // The mouse leaves the page, and with it all that it held and hovered over.
   function forget() {
+    if (held) release(document.body, 0, 0);
+    if (hovered && hovered.isConnected) {
+      mouse(hovered, 'mouseout', 0, 0, 0);
+      for (let node = hovered; node; node = node.parentElement) mouse(node, 'mouseleave', 0, 0, 0, false);
+    }
     hovered = null;
-    held = null;
     getSelection().removeAllRanges();
   }
 

@@ -66,6 +66,16 @@ const keyboard = (() => {
   // Dates and the like take a whole value and refuse every beginning of one.
   const WHOLE = new Set(['date', 'time', 'datetime-local', 'month', 'week', 'color', 'range']);
 
+  // What a person types into a date or time field ("02/08/2019", "7:16 PM"), as the field keeps it.
+  function kept(field, text) {
+    const date = field.type === 'date' && /^\s*(\d{1,2})\/(\d{1,2})\/(\d{4})\s*$/.exec(text);
+    if (date) return `${date[3]}-${date[1].padStart(2, '0')}-${date[2].padStart(2, '0')}`;
+    const time = field.type === 'time' && /^\s*(\d{1,2}):(\d{2})(?:\s*([AP])M)?\s*$/i.exec(text);
+    if (!time) return text;
+    const hour = time[3] ? (time[1] % 12) + (/p/i.test(time[3]) ? 12 : 0) : time[1];
+    return `${String(hour).padStart(2, '0')}:${time[2]}`;
+  }
+
   function type(element, text, clear) {
     let field = element || document.activeElement || document.body;
     if (element && isField(element) && document.activeElement !== element) element.focus({ preventScroll: true });
@@ -73,7 +83,7 @@ const keyboard = (() => {
     if (element && !field.isConnected) return;
     if (isField(field) && WHOLE.has(field.type)) {
       if (field.readOnly || field.disabled) return;
-      write(field, text, 'insertText', text);
+      write(field, kept(field, text), 'insertText', text);
     } else if (!element || holdsText(field) || field.isContentEditable) {
       if (holdsText(field) && (clear || element)) {
         partial = null;

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,51 +20,26 @@ TAMPERED = 2
 GONE = "gone"  # what a document without an open episode answers
 WAIT = "wait"  # the page is still loading: LATER has the answer
 LATER = "giirl.later()"
-SCRIPTS = ("keyboard", "gestures", "reading", "page")
+Json = list[Any]
+SCRIPTS = ("clock", "focus", "keyboard", "gestures", "reading", "elements", "frame", "page")
 
 
-@functools.cache
-def script() -> str:
-    """The source that Chrome runs in every document before the page's own scripts."""
-    here = Path(__file__)
-    parts = [here.with_name(f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS]
-    codes = json.dumps({**keys.NAMED, **keys.CODES})
-    return f"(() => {{\nconst KEY_CODES = {codes};\n" + "\n".join(parts) + "\n})();\n"
+def source(name: str) -> str:
+    """One of the scripts of this package."""
+    return Path(__file__).with_name(f"{name}.js").read_text(encoding="utf-8")
 
 
-def start_call(episode: EpisodeSpec) -> str:
-    return f"giirl.begin({episode.seed})"
+def start_call(episode: EpisodeSpec) -> Json:
+    return [[episode.seed, episode.mode]]
 
 
-def step_call(command: Command, task: str) -> str:
+def step_call(command: Command, task: str) -> Json:
     """Act, and go on in the same document when the episode that follows has the same task."""
     following = command.following
     stays = following is not None and following.task == task and not needs_fresh_document(task)
-    seed = following.seed if following is not None and stays else None
+    begins = [following.seed, following.mode] if following is not None and stays else None
     action = [int(command.verb), command.ref, command.text, *command.at, *command.by, command.to]
-    step = f"giirl.step({json.dumps(action)},{json.dumps(command.last)},{json.dumps(seed)})"
-    return f"window.giirl&&giirl.isOpen()?{step}:'{GONE}'"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Answer:
-    """What page.js says; `page` is missing where no episode goes on, `goal` where none begins."""
-
-    raw_reward: float
-    done: bool
-    page: Page | None
-    goal: Goal | None
-
-
-def decode(text: str) -> Answer:
-    """The answer in `text`; ValueError when it is none."""
-    raw_reward, done, columns, utterance = json.loads(text)
-    return Answer(
-        raw_reward=float(raw_reward),
-        done=bool(done),
-        page=None if columns is None else decode_page(columns),
-        goal=None if utterance is None else Goal(utterance),
-    )
+    return [action, command.last, begins]
 
 
 def decode_page(columns: list[Any]) -> Page:
@@ -92,3 +68,49 @@ def _scattered(rows: list[int], values: list[str], count: int) -> tuple[str, ...
     for row, value in zip(rows, values, strict=True):
         column[row] = value
     return tuple(column)
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """A way to look at pages: the script that reads them, and what makes its columns a Page."""
+
+    reader: str
+    decode: Callable[[Json], Page]
+    emulation: tuple[tuple[str, dict[str, Any]], ...] = ()  # DevTools methods and parameters, called once in every tab
+    first: tuple[str, ...] = ()  # scripts that go before all others
+
+    @functools.cached_property
+    def script(self) -> str:
+        """The source that Chrome runs in every document before the page's own scripts."""
+        names = (*self.first, *SCRIPTS)
+        parts = [source(name) for name in names]
+        parts.insert(names.index("frame"), f"const view = {self.reader};")
+        codes = json.dumps({**keys.NAMED, **keys.CODES})
+        head = f"(() => {{\nif ('giirlFrame' in window) return;\nconst KEY_CODES = {codes};\n"
+        return head + "\n".join(parts) + "\n})();\n"
+
+
+ROWS = View(reader="reading", decode=decode_page)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """What page.js says; `page` is missing where no episode goes on, `goal` where none begins."""
+
+    raw_reward: float
+    done: bool
+    page: Page | None
+    goal: Goal | None
+    reason: str  # for the reward, where the page gives one
+
+
+def decode(words: Json, view: View = ROWS) -> Answer:
+    """The answer in what a page said; ValueError or TypeError when it is none."""
+    raw_reward, done, columns, utterance, *reason = words
+    return Answer(
+        raw_reward=float(raw_reward),
+        done=bool(done),
+        page=None if columns is None else view.decode(columns),
+        goal=None if utterance is None else Goal(utterance),
+        reason=str(reason[0]) if reason else "",
+    )

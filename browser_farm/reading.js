@@ -14,7 +14,9 @@ const reading = (() => {
   }
 
   forget();
-  window.addEventListener('click', (event) => { tampered.add(event.target); }, true);
+  for (const name of ['mousedown', 'click', 'wheel']) {
+    window.addEventListener(name, (event) => { tampered.add(event.target); }, true);
+  }
 
   function refOf(node) {
     let ref = refs.get(node);
@@ -24,6 +26,10 @@ const reading = (() => {
     }
     return ref;
   }
+
+  // Floats leave the element around them without a height.
+  const overflows = (element) => element.firstElementChild !== null && element.getClientRects().length > 0
+    && getComputedStyle(element).overflow === 'visible';
 
   const flat = (text) => text.replace(/\s+/g, ' ').trim().toWellFormed();
 
@@ -101,7 +107,10 @@ const reading = (() => {
       const name = element.localName.toLowerCase();
       if (MUTE.has(name) || FURNITURE.has(element.id)) return;
       const box = element.getBoundingClientRect();
-      if (box.width === 0 || box.height === 0) return;
+      if (box.width === 0 || box.height === 0) {
+        if (overflows(element)) children(element, parent);
+        return;
+      }
       const input = element instanceof HTMLInputElement;
       const leaf = element.firstElementChild === null;
       let here = parent;
@@ -186,5 +195,5 @@ const reading = (() => {
     canvas.fill = function fillNoted(...path) { shown(this, this.fillStyle); fill.apply(this, path); };
   }
 
-  return { walk, flat, forget, nodeOf: (ref) => nodes[ref] };
+  return { walk, flat, forget, refOf, nodeOf: (ref) => nodes[ref] };
 })();

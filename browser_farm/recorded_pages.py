@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -116,16 +116,15 @@ def parse_node(raw: object, where: str, depth: int = 0) -> Node:
         raise ValueError(f"{where} nests deeper than {DEEPEST_NODE} nodes")
     tag, ref = raw.get("tag"), raw.get("ref")
     if not isinstance(tag, str) or not tag:
-        raise ValueError(f"{where}.tag is {_kind(tag)}, wanted the name of an element")
+        raise ValueError(f"{where}: the tag of a node is {_kind(tag)}, wanted the name of an element")
     if isinstance(ref, bool) or not isinstance(ref, int) or abs(ref) >= 1 << 31:
-        raise ValueError(f"{where}.ref is {_kind(ref)}, wanted a whole number of 32 bits")
+        raise ValueError(f"{_place(raw, 'ref', where)} is {_kind(ref)}, wanted a whole number of 32 bits")
     children = raw.get("children", [])
     if not isinstance(children, list):
-        raise ValueError(f"{where}.children is {_kind(children)}, wanted a list")
+        raise ValueError(f"{_place(raw, 'children', where)} is {_kind(children)}, wanted a list")
     value = raw.get("value", "")
     if not isinstance(value, (str, bool)):
-        raise ValueError(f"{where}.value is {_kind(value)}, wanted text or true or false")
-    below = f"{where} > {tag[:20]}"
+        raise ValueError(f"{_place(raw, 'value', where)} is {_kind(value)}, wanted text or true or false")
     return Node(
         tag=tag.lower(),
         id=_text(raw, "id", where),
@@ -134,14 +133,14 @@ def parse_node(raw: object, where: str, depth: int = 0) -> Node:
         value=("checked" if value else "") if isinstance(value, bool) else value,
         classes="" if isinstance(raw.get("classes"), dict) else _text(raw, "classes", where),  # SVG's own {}
         box=(
-            measure(raw.get("left"), f"{where}.left"),
-            measure(raw.get("top"), f"{where}.top"),
-            measure(raw.get("width"), f"{where}.width"),
-            measure(raw.get("height"), f"{where}.height"),
+            measure(raw, "left", where),
+            measure(raw, "top", where),
+            measure(raw, "width", where),
+            measure(raw, "height", where),
         ),
         focused=raw.get("focused") is True,
         target=raw.get("recordingTarget") is True,
-        children=tuple([parse_node(child, below, depth + 1) for child in children]),
+        children=tuple([parse_node(child, where, depth + 1) for child in children]),
     )
 
 
@@ -156,18 +155,24 @@ def target_of(node: Node) -> Node | None:
     return None
 
 
-def measure(raw: object, where: str) -> float:
-    """A length or position in CSS px."""
-    if isinstance(raw, bool) or not isinstance(raw, (int, float)) or not -FARTHEST_PX <= raw <= FARTHEST_PX:
-        raise ValueError(f"{where} is {_kind(raw)}, wanted a number of pixels, at most {FARTHEST_PX:.0e}")
-    return float(raw)
+def measure(raw: Mapping[str, object], key: str, where: str, default: object = None) -> float:
+    """A length or position in CSS px, or another number of that size."""
+    value = raw.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not -FARTHEST_PX <= value <= FARTHEST_PX:
+        raise ValueError(f"{_place(raw, key, where)} is {_kind(value)}, wanted a number, at most {FARTHEST_PX:.0e}")
+    return float(value)
 
 
-def _text(raw: dict[str, object], key: str, where: str) -> str:
+def _text(raw: Mapping[str, object], key: str, where: str) -> str:
     value = raw.get(key, "")
     if not isinstance(value, str):
-        raise ValueError(f"{where}.{key} is {_kind(value)}, wanted text")
+        raise ValueError(f"{_place(raw, key, where)} is {_kind(value)}, wanted text")
     return value
+
+
+def _place(raw: Mapping[str, object], key: str, where: str) -> str:
+    """Put together only when it is needed: a recording has 100,000 numbers."""
+    return f"{where}: {key} of {str(raw.get('tag') or raw.get('type') or 'an object')[:20]!r}"
 
 
 def _kind(value: object) -> str:

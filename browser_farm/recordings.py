@@ -8,7 +8,7 @@ import json
 import zlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from browser_farm.gestures import State, Unrepairable
 from browser_farm.recorded_pages import measure, parse_node
 from browser_farm.repair import Step, repair
+from browser_farm.wording import wording
 from giirl.spec import DEMONSTRATION, NO_SPAN, Action, Episode, Goal, Outcome, Trajectory, Verb
 
 MOST_BYTES = 64 << 20  # unpacked; the largest public recording has 5 MB
@@ -60,6 +61,16 @@ class ImportReport:
             numbers = f"{count.files:5}  {count.clean:5}  {count.failures:8}  {count.unread:6}"
             rows.append(f"{task:{wide}}  {numbers}  {reasons}".rstrip())
         return rows
+
+    def summary(self) -> dict[str, object]:
+        """The same for machines: totals, and every task."""
+        counts = self.tasks.values()
+        return {
+            "files": sum(count.files for count in counts),
+            "clean": sum(count.clean for count in counts),
+            "failures": sum(count.failures for count in counts),
+            "tasks": {task: {**asdict(count), "skipped": dict(count.skipped)} for task, count in self.tasks.items()},
+        }
 
 
 def read_recording(path: Path) -> Recorded:
@@ -212,7 +223,7 @@ def _parse(raw: object) -> _Recording:
     return _Recording(
         goal=Goal(" ".join(utterance.split())),
         states=tuple(_parse_state(state, f"states[{index}]") for index, state in enumerate(states)),
-        raw_reward=measure(raw["rawReward"], "rawReward"),
+        raw_reward=measure(raw, "rawReward", "the recording"),
     )
 
 
@@ -230,10 +241,10 @@ def _parse_state(raw: object, where: str) -> State:
     return State(
         body=parse_node(raw["dom"], f"{where}.dom"),
         kind=kind,
-        timing=int(measure(action.get("timing"), f"{where}.action.timing")),
-        x=measure(action.get("x", 0), f"{where}.action.x"),
-        y=measure(action.get("y", 0), f"{where}.action.y"),
-        code=int(measure(action.get("keyCode", 0), f"{where}.action.keyCode")),
+        timing=int(measure(action, "timing", where)),
+        x=measure(action, "x", where, 0),
+        y=measure(action, "y", where, 0),
+        code=int(measure(action, "keyCode", where, 0)),
     )
 
 
@@ -245,7 +256,7 @@ def _episode(path: Path, recording: _Recording, steps: Sequence[Step], *, strict
         pages.append(screen.page(tampered))
         start, end = NO_SPAN, NO_SPAN
         if step.verb is Verb.TYPE:
-            start, end = recording.goal.find(step.text)
+            start, end = wording(recording.goal, step.text) if strict else recording.goal.find(step.text)
             if strict and start == NO_SPAN:
                 raise Unrepairable("text not in instruction")
         actions.append(Action(verb=step.verb, element=step.row, start=start, end=end))

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import base64
+import json
+import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import tenacity
 
+from browser_farm import pages
 from browser_farm.chrome import Chrome, LaunchFailed
 from browser_farm.devtools import BROWSER, BrowserGone, DevTools, Json, Reply, browser_url
+from browser_farm.hub import Hub, Tab
 
 LAUNCH_ATTEMPTS = 3
 LONGEST_BACK_OFF_S = 5.0
+PROCESSES = 2  # renderers that share the tabs, so that one page computes while another is read
+LARGEST_HUB = 16  # tabs of one renderer, which live and die together
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,15 +31,6 @@ class Failure:
     words: str = ""
 
 
-@dataclass(slots=True, kw_only=True)
-class Tab:
-    """One target of Chrome and the flat session that speaks to it."""
-
-    target: str
-    session: str
-    crashed: bool = False
-
-
 class Tabs:
     """Its methods raise BrowserGone once Chrome is dead or silent; `launch` starts another."""
 
@@ -39,22 +38,21 @@ class Tabs:
         self,
         count: int,
         *,
-        script: str,
+        view: pages.View,
         call_timeout_s: float,
         launch_timeout_s: float,
         headless: bool,
         no_sandbox: bool | None,
     ) -> None:
         self._count = count
-        self._script = script
+        self._view = view
         self._call_timeout_s = call_timeout_s
         self._launch_timeout_s = launch_timeout_s
         self._headless = headless
         self._no_sandbox = no_sandbox
         self._chrome: Chrome | None = None
         self._devtools: DevTools | None = None
-        self._tabs: list[Tab] = []
-        self._by_session: dict[str, Tab] = {}
+        self._hubs: list[Hub] = []
 
     @property
     def chrome(self) -> Chrome:
@@ -81,8 +79,50 @@ class Tabs:
         if self._chrome is not None:
             self._chrome.end()
             self._chrome = None
-        self._tabs.clear()
-        self._by_session.clear()
+        self._hubs.clear()
+
+    def ask(self, questions: Mapping[int, pages.Json]) -> dict[int, Any | Failure]:
+        """Ask the pages of many tabs, and have their answers as values; a page that still loads is waited for."""
+        answers = self._ask_hubs(questions)
+        later = {tab: pages.LATER for tab, answer in answers.items() if answer == pages.WAIT}
+        for tab, text in (self.evaluate(later, promised=True) if later else {}).items():
+            answers[tab] = json.loads(text) if isinstance(text, str) else text
+        return answers
+
+    def _ask_hubs(self, questions: Mapping[int, pages.Json]) -> dict[int, Any | Failure]:
+        """One call for each process.
+
+        A page that does not come back is interrupted; the tabs behind it in its process are asked again.
+        """
+        answers: dict[int, Any | Failure] = {}
+        while left := {tab: words for tab, words in questions.items() if tab not in answers}:
+            deadline = time.monotonic() + self._call_timeout_s
+            asked: dict[int, tuple[Hub, int, list[int]]] = {}  # message -> whom, call, which of its tabs
+            for hub in self._hubs:
+                if mine := {tab: words for tab, words in left.items() if tab in hub.tabs}:
+                    number, message = hub.ask(mine)
+                    asked[message] = (hub, number, list(mine))
+
+            def given_up(asked: dict[int, tuple[Hub, int, list[int]]] = asked) -> set[int]:
+                return {message for message, (hub, _, _) in asked.items() if hub.crashed}
+
+            replies = self._tools.receive(asked, deadline=deadline, given_up=given_up)
+            for message, (hub, number, tabs) in asked.items():
+                if message in replies:
+                    answers |= _answers(replies[message], tabs)
+                elif hub.crashed:
+                    answers |= dict.fromkeys(tabs, Failure(cause="tab_crashed"))
+                else:
+                    answers |= self._break_off(hub, number, tabs)
+        return answers
+
+    def _break_off(self, hub: Hub, number: int, tabs: list[int]) -> dict[int, Any | Failure]:
+        """What is known of a call that did not end in time: at least one failure."""
+        self._check_alive()
+        culprit, said = hub.break_off(number, timeout_s=self._call_timeout_s)
+        if culprit is None:  # none of those asked: something else in that process never ends
+            return dict.fromkeys(tabs, self._hung())
+        return {**said, culprit: self._hung()}
 
     def evaluate(self, expressions: Mapping[int, str], *, promised: bool = False) -> dict[int, str | Failure]:
         """Run one expression in each tab, all at the same time; each gives a string, or promises one."""
@@ -95,8 +135,6 @@ class Tabs:
 
     def navigate(self, urls: Mapping[int, str]) -> dict[int, Failure]:
         """Show a url in each tab, all at the same time; only those that failed are in the answer."""
-        for tab in urls:
-            self._tabs[tab].crashed = False  # navigating brings a crashed tab back
         replies = self._call_all("Page.navigate", {tab: {"url": url} for tab, url in urls.items()})
         failures: dict[int, Failure] = {}
         for tab, reply in replies.items():
@@ -107,16 +145,35 @@ class Tabs:
                 failures[tab] = Failure(cause="navigated", words=words)
         return failures
 
-    def interrupt(self, tab: int) -> None:
-        """Stop the script that runs in a tab."""
-        self._tools.post(self._tabs[tab].session, "Runtime.terminateExecution")
+    def screenshot(self, tab: int, box: tuple[float, float, float, float], scale: float) -> bytes | Failure:
+        """A part of a page as PNG. The tab is shown meanwhile: Chrome draws no other."""
+        clip = dict(zip(("x", "y", "width", "height"), box, strict=True)) | {"scale": scale}
+        shot = {"format": "png", "clip": clip, "optimizeForSpeed": True}
+        reply = self._call_all("Page.bringToFront", {tab: {}})[tab]
+        if not isinstance(reply, Failure):
+            reply = self._call_all("Page.captureScreenshot", {tab: shot})[tab]
+        self._tools.post(BROWSER, "Target.activateTarget", self._aside())
+        if isinstance(reply, Failure):
+            return reply
+        if not reply.result:
+            return Failure(cause="page_error", words=reply.error)
+        return base64.b64decode(reply.result["data"])
 
-    def replace(self, tab: int) -> None:
-        """Give up a tab that does not come back, and open another in its place."""
-        old = self._tabs[tab]
-        self._by_session.pop(old.session, None)
-        self._tools.post(BROWSER, "Target.closeTarget", {"targetId": old.target})
-        self._tabs[tab] = self._open_tab()
+    def rebuild(self, tab: int) -> set[int]:
+        """Give up the process that a tab lives in, and open all of its tabs anew; they are named."""
+        index = self._hubs.index(self._hub(tab))
+        old = self._hubs[index]
+        old.close()
+        self._hubs[index] = self._open_hub(list(old.tabs))
+        return set(old.tabs)
+
+    def has_crashed(self, tab: int) -> bool:
+        """Whether the process of this tab is gone."""
+        return self._hub(tab).crashed
+
+    def show(self, tab: int) -> None:
+        """Bring a tab to the front, where a person can see and use it."""
+        self._tools.post(self._tab(tab).session, "Page.bringToFront")
 
     @property
     def _tools(self) -> DevTools:
@@ -129,51 +186,54 @@ class Tabs:
         self._chrome = Chrome(headless=self._headless, no_sandbox=self._no_sandbox, timeout_s=self._launch_timeout_s)
         url = browser_url(self._chrome.debugger_address, timeout_s=self._call_timeout_s)
         self._devtools = DevTools(url, timeout_s=self._call_timeout_s, on_event=self._on_event)
-        self._tabs = [self._open_tab() for _ in range(self._count)]
+        hubs = max(min(self._count, PROCESSES), math.ceil(self._count / LARGEST_HUB))
+        self._hubs = [self._open_hub(range(self._count)[first::hubs]) for first in range(hubs)]
 
-    def _open_tab(self) -> Tab:
-        timeout_s = self._launch_timeout_s
+    def _open_hub(self, numbers: Sequence[int]) -> Hub:
         tools = self._tools
         try:
-            target = tools.call(
-                BROWSER,
-                "Target.createTarget",
-                {"url": "about:blank", "background": True},
-                timeout_s=timeout_s,
-            )["targetId"]
-            session = tools.call(
-                BROWSER, "Target.attachToTarget", {"targetId": target, "flatten": True}, timeout_s=timeout_s
-            )["sessionId"]
-            tab = Tab(target=target, session=session)
-            self._by_session[session] = tab
-            tools.call(session, "Page.enable", timeout_s=timeout_s)
-            tools.call(session, "Inspector.enable", timeout_s=timeout_s)
-            source = {"source": self._script}
-            tools.call(session, "Page.addScriptToEvaluateOnNewDocument", source, timeout_s=timeout_s)
+            hub = Hub(tools, self.chrome.hub_url, numbers, view=self._view, timeout_s=self._launch_timeout_s)
+            # A tab that is shown draws frames. The one that Chrome began with draws nothing.
+            tools.call(BROWSER, "Target.activateTarget", self._aside(), timeout_s=self._launch_timeout_s)
         except (TimeoutError, RuntimeError) as error:
             raise BrowserGone(f"Chrome opens no tab: {error}") from error
-        return tab
+        return hub
+
+    def _aside(self) -> Json:
+        return {"targetId": self.chrome.first_target}
+
+    def _hub(self, tab: int) -> Hub:
+        return next(hub for hub in self._hubs if tab in hub.tabs)
+
+    def _tab(self, tab: int) -> Tab:
+        return self._hub(tab).tabs[tab]
 
     def _call_all(self, method: str, params: Mapping[int, Json]) -> dict[int, Reply | Failure]:
         deadline = time.monotonic() + self._call_timeout_s
         tools = self._tools
-        calls = {tab: tools.send(self._tabs[tab].session, method, each) for tab, each in params.items()}
+        calls = {tab: tools.send(self._tab(tab).session, method, each) for tab, each in params.items()}
 
         def given_up() -> set[int]:
-            return {call for tab, call in calls.items() if self._tabs[tab].crashed}
+            return {call for tab, call in calls.items() if self.has_crashed(tab)}
 
         replies = tools.receive(calls.values(), deadline=deadline, given_up=given_up)
         answers: dict[int, Reply | Failure] = {}
         for tab, call in calls.items():
             if call in replies:
                 answers[tab] = replies[call]
-            elif self._tabs[tab].crashed:
+            elif self.has_crashed(tab):
                 answers[tab] = Failure(cause="tab_crashed")
             else:
-                answers[tab] = Failure(cause="page_hung", words=f"no answer in {self._call_timeout_s:g} s")
-        if any(isinstance(answer, Failure) and answer.cause == "page_hung" for answer in answers.values()):
+                answers[tab] = self._hung()
+        hung = [tab for tab, answer in answers.items() if isinstance(answer, Failure) and answer.cause == "page_hung"]
+        if hung:
             self._check_alive()
+            for hub in {id(hub): hub for hub in map(self._hub, hung)}.values():
+                hub.interrupt(timeout_s=self._call_timeout_s)
         return answers
+
+    def _hung(self) -> Failure:
+        return Failure(cause="page_hung", words=f"no answer in {self._call_timeout_s:g} s")
 
     def _check_alive(self) -> None:
         try:
@@ -184,10 +244,21 @@ class Tabs:
     def _on_event(self, session: str, method: str, params: Json) -> None:
         if method == "Page.javascriptDialogOpening":
             self._tools.post(session, "Page.handleJavaScriptDialog", {"accept": True})
-        elif method == "Inspector.targetCrashed" and session in self._by_session:
-            self._by_session[session].crashed = True
-        elif method == "Target.detachedFromTarget" and params.get("sessionId") in self._by_session:
-            self._by_session[params["sessionId"]].crashed = True
+        elif method in ("Inspector.targetCrashed", "Target.detachedFromTarget"):
+            gone = params.get("sessionId", session)
+            for tab in (tab for hub in self._hubs for tab in (hub.page, *hub.tabs.values())):
+                tab.crashed |= tab.session == gone
+
+
+def _answers(reply: Reply, tabs: list[int]) -> dict[int, Any | Failure]:
+    said = _evaluated(reply)
+    if isinstance(said, Failure):
+        return dict.fromkeys(tabs, said)
+    answers: dict[int, Any | Failure] = {}
+    for tab, words in json.loads(said):
+        wrong = words.get("error") if isinstance(words, dict) else None
+        answers[tab] = words if wrong is None else Failure(cause="page_error", words=str(wrong))
+    return answers
 
 
 def _evaluated(reply: Reply) -> str | Failure:

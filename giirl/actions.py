@@ -61,7 +61,7 @@ class Verb(IntEnum):
     DOUBLE_CLICK = 7
     MOUSE_DOWN = 8  # and hold
     MOUSE_UP = 9
-    ACTIVATE = 10  # what a script's click() and focus() do: no mouse moves
+    ACTIVATE = 10  # what a script's click() and focus() do: no mouse moves; then type behind what has the focus
     WAIT = 11  # nothing, for as long as a step takes
 
 
@@ -70,11 +70,10 @@ _POINTED = frozenset({"at"})
 _SAID = frozenset({"start", "end", "literal"})
 USES: dict[Verb, frozenset[str]] = {
     **dict.fromkeys((Verb.CLICK, Verb.HOVER, Verb.DOUBLE_CLICK, Verb.MOUSE_DOWN, Verb.MOUSE_UP), _POINTED),
-    **dict.fromkeys((Verb.TYPE, Verb.APPEND), _SAID),
+    **dict.fromkeys((Verb.TYPE, Verb.APPEND, Verb.ACTIVATE), _SAID),
     Verb.PRESS: frozenset({"literal"}),
     Verb.SCROLL: frozenset({"at", "by"}),
     Verb.DRAG: frozenset({"at", "by", "to"}),
-    Verb.ACTIVATE: frozenset(),
     Verb.WAIT: frozenset(),
 }
 

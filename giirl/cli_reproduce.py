@@ -29,7 +29,7 @@ def seeds(default: int) -> Callable[[Any], Any]:
 
 @click.group()
 def reproduce() -> None:
-    """Run a study of the thesis's tabular chapter again; no browser, minutes on one core."""
+    """Run a study again: a table or a figure of the thesis, or a question beside it."""
 
 
 @reproduce.command("figure-4.3")

@@ -31,10 +31,12 @@ REINSTALL = "make install"
 PACKAGES = (
     ("click", "click"),
     ("gymnasium", "gymnasium"),
+    ("jinja2", "jinja2"),
     ("matplotlib", "matplotlib"),
     ("miniwob", "miniwob"),
     ("msgpack", "msgpack"),
     ("numpy", "numpy"),
+    ("pillow", "PIL"),
     ("prometheus-client", "prometheus_client"),
     ("psutil", "psutil"),
     ("pyarrow", "pyarrow"),

@@ -20,6 +20,7 @@ CLASSES = 64  # hash buckets of class names
 CLASS_SLOTS = 3
 TOKEN_FLAGS = 6
 ELEMENT_FLAGS = 16
+ELEMENT_OVERLAP, TOKEN_OVERLAP = slice(10, 16), slice(3, 5)  # the columns that say where goal and page agree
 POSITION = slice(0, 4)  # the columns of Features.element_flags that hold left, top, width, height
 WIDTH_PX, HEIGHT_PX = 160.0, 210.0
 
@@ -206,9 +207,20 @@ def collate(rows: Sequence[Features]) -> Batch:
 
 def collate_actions(actions: Sequence[Action]) -> ActionBatch:
     """One action for each of B pages."""
-    table = np.array([(a.verb, a.element, a.start, a.end) for a in actions], dtype=np.int64).reshape(-1, 4)
-    verb, element, start, end = torch.from_numpy(table).T.unsqueeze(2).contiguous()
+    verb, element, start, end = _table(actions).unsqueeze(2)
     return ActionBatch(verb=verb, element=element, start=start, end=end)
+
+
+def collate_choices(actions: Sequence[Action]) -> ActionBatch:
+    """M actions on one page."""
+    verb, element, start, end = _table(actions).unsqueeze(1)
+    return ActionBatch(verb=verb, element=element, start=start, end=end)
+
+
+def _table(actions: Sequence[Action]) -> Tensor:
+    """[4, B]: verb, element, start, end."""
+    table = np.array([(a.verb, a.element, a.start, a.end) for a in actions], dtype=np.int64).reshape(-1, 4)
+    return torch.from_numpy(table).T.contiguous()
 
 
 def rename(batch: Batch, actions: ActionBatch, chance: float, jitter: float, noise: torch.Generator) -> Batch:
@@ -237,6 +249,14 @@ def rename(batch: Batch, actions: ActionBatch, chance: float, jitter: float, noi
         ),
         element_flags=flags,
     )
+
+
+def without_overlap(batch: Batch) -> Batch:
+    """The same pages, with nothing that says where goal and page agree: a study's question, what words alone do."""
+    tokens, elements = batch.token_flags.clone(), batch.element_flags.clone()
+    tokens[:, :, TOKEN_OVERLAP] = 0.0
+    elements[:, :, ELEMENT_OVERLAP] = 0.0
+    return replace(batch, token_flags=tokens, element_flags=elements, matches=torch.zeros_like(batch.matches))
 
 
 COMMON_WORDS = 4000  # renamed words come from this many of the commonest, whatever the table

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -51,6 +52,37 @@ def draw_maps(path: Path, layout: Layout, panels: Sequence[Panel]) -> None:
     if image is not None:
         figure.colorbar(image, ax=list(axes[1:]), label="learned reward", shrink=0.8)
     _save(figure, path)
+
+
+def draw_successes(path: Path, runs: Sequence[Mapping[str, Any]]) -> None:
+    """Success of the exploring policy against environment steps, a panel a task: each variant's mean over its seeds,
+    and a band from the worst seed to the best. `runs` have "variant", "seed" and "curve", as a study records them."""
+    tasks = list(runs[0]["tasks"])
+    figure = Figure(figsize=(INCHES * len(tasks), 2.6), layout="constrained")
+    axes = figure.subplots(1, len(tasks), squeeze=False, sharey=True)[0]
+    for axis, task in zip(axes, tasks, strict=True):
+        for variant in dict.fromkeys(run["variant"] for run in runs):
+            curves = [run["curve"] for run in runs if run["variant"] == variant and task in run["tasks"]]
+            if not curves:
+                continue
+            steps = np.linspace(0, min(curve[-1]["env_steps"] for curve in curves), 100)
+            lines = [_success_at(steps, curve, task) for curve in curves]
+            (line,) = axis.plot(steps, np.mean(lines, axis=0), label=variant)
+            axis.fill_between(steps, np.min(lines, axis=0), np.max(lines, axis=0), color=line.get_color(), alpha=0.2)
+        axis.set_title(task, fontsize=9)
+        axis.set_xlabel("environment steps", fontsize=8)
+        axis.set_ylim(-0.02, 1.02)
+        axis.tick_params(labelsize=7)
+    axes[0].set_ylabel("success", fontsize=8)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
+    _save(figure, path)
+
+
+def _success_at(steps: NDArray[np.float64], curve: Sequence[Mapping[str, Any]], task: str) -> NDArray[np.float64]:
+    """Between the points of a curve in a straight line; nan before there were enough episodes."""
+    got = [np.nan if point["success"].get(task) is None else point["success"][task] for point in curve]
+    line: NDArray[np.float64] = np.interp(steps, [point["env_steps"] for point in curve], got)
+    return line
 
 
 def draw_returns(path: Path, env_steps: NDArray[np.int64], returns: Mapping[str, NDArray[np.float64]]) -> None:

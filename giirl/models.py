@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from giirl.features import CLASSES, ELEMENT_FLAGS, TAGS, TOKEN_FLAGS, ActionBatch, Batch
+from giirl.config import NetConfig
+from giirl.features import CLASSES, ELEMENT_FLAGS, TAGS, TOKEN_FLAGS, ActionBatch, Batch, without_overlap
 from giirl.language import PADDING, Vectors
 from giirl.spec import LEARNED, NO_SPAN, Verb
 
@@ -29,8 +30,9 @@ class Encoder(nn.Module):
 
     table: Tensor
 
-    def __init__(self, vectors: Vectors, width: int) -> None:
+    def __init__(self, vectors: Vectors, config: NetConfig) -> None:
         super().__init__()
+        self.config, width = config, config.width
         self.register_buffer("table", torch.from_numpy(vectors.table), persistent=False)
         words = self.table.shape[1]
         self.token_in = nn.Linear(words + TOKEN_FLAGS, width)
@@ -45,6 +47,7 @@ class Encoder(nn.Module):
         self.summary = nn.Linear(3 * width, width)
 
     def forward(self, batch: Batch) -> Encoding:
+        batch = batch if self.config.overlap else without_overlap(batch)
         tokens = self._read_goal(batch)
         elements = self._read_page(batch, tokens)
         weights = self.goal_pool(tokens).squeeze(2).masked_fill(~batch.token_mask, NEVER).softmax(1)
@@ -59,7 +62,7 @@ class Encoder(nn.Module):
         """[B, L, D]: each word in the light of its neighbours."""
         mask = batch.token_mask.unsqueeze(2)
         hidden = torch.relu(self.token_in(torch.cat([self.table[batch.token_words], batch.token_flags], 2)))
-        for conv in self.token_conv:
+        for conv in self.token_conv if self.config.order else ():
             hidden = hidden * mask
             hidden = hidden + torch.relu(conv(hidden.transpose(1, 2)).transpose(1, 2))
         return hidden * mask
@@ -76,7 +79,7 @@ class Encoder(nn.Module):
         likeness = likeness.masked_fill(~batch.token_mask.unsqueeze(1), NEVER).softmax(2)
         alignment = torch.einsum("bel,bld->bed", likeness, tokens)
         hidden = hidden + torch.relu(self.aligned(torch.cat([hidden, alignment], dim=2)))
-        out: Tensor = hidden + self.neighbours(hidden, batch.element_mask)
+        out: Tensor = hidden + self.neighbours(hidden, batch.element_mask) if self.config.neighbours else hidden
         return out
 
 
@@ -105,9 +108,10 @@ class Policy(nn.Module):
     Every page may be asked about M actions at once; [B, M] below.
     """
 
-    def __init__(self, vectors: Vectors, width: int = 64) -> None:
+    def __init__(self, vectors: Vectors, config: NetConfig) -> None:
         super().__init__()
-        self.encoder = Encoder(vectors, width)
+        width = config.width
+        self.encoder = Encoder(vectors, config)
         self.act = nn.Sequential(nn.Linear(2 * width, width), nn.ReLU(), nn.Linear(width, VERBS))
         self.start = nn.Linear(2 * width, width)
         self.end = nn.Linear(2 * width, width)
@@ -187,9 +191,10 @@ class Policy(nn.Module):
 class RewardNet(nn.Module):
     """The logit of D_phi(s, a | g): the policy's reading of the page, with the action marked, ending in one number."""
 
-    def __init__(self, vectors: Vectors, width: int = 64, dropout: float = 0.0) -> None:
+    def __init__(self, vectors: Vectors, config: NetConfig, dropout: float = 0.0) -> None:
         super().__init__()
-        self.encoder = Encoder(vectors, width)
+        width = config.width
+        self.encoder = Encoder(vectors, config)
         self.verb = nn.Embedding(VERBS, 16)
         self.absent = nn.Parameter(torch.zeros(2, width))  # nothing typed; typed words that the goal lacks
         self.judge = nn.Sequential(

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from giirl.config import Config
-from giirl.features import collate, collate_actions, featurise
+from giirl.features import collate, collate_actions, collate_choices, featurise
 from giirl.language import Vectors, load_vectors
 from giirl.models import Policy, RewardNet
 from giirl.parameters import load_net
@@ -65,6 +65,13 @@ class RewardModel:
         """[B] rewards of B (page, action, goal) triples."""
         return reward_of(self._logits(pages, actions, goals), self.form, self.clip)
 
+    @torch.no_grad()
+    def score_actions(self, page: Page, goal: Goal, actions: Sequence[Action]) -> NDArray[np.float32]:
+        """[M] rewards of M actions on one page, which is read once."""
+        self.net.eval()
+        logits = self.net(collate([featurise(page, goal, self.vectors)]), collate_choices(actions))
+        return reward_of(logits.squeeze(0), self.form, self.clip).numpy()
+
     def score(self, trajectories: Sequence[Trajectory]) -> list[NDArray[np.float32]]:
         """For each trajectory its [T] rewards."""
         pages = [page for trajectory in trajectories for page in trajectory.pages]
@@ -85,7 +92,7 @@ class RewardModel:
 def build_reward(config: Config, weights: Weights | None = None) -> RewardModel:
     """The reward of a run's config, with its weights when there are any."""
     vectors = load_vectors(config.net.vectors)
-    net = RewardNet(vectors, config.net.width, config.discriminator.dropout)
+    net = RewardNet(vectors, config.net, config.discriminator.dropout)
     if weights is not None:
         load_net(net, weights)
     return RewardModel(net, vectors, config.discriminator.reward, config.discriminator.clip)
@@ -93,4 +100,4 @@ def build_reward(config: Config, weights: Weights | None = None) -> RewardModel:
 
 def build_policy(config: Config) -> Policy:
     """An untrained policy of a run's config."""
-    return Policy(load_vectors(config.net.vectors), config.net.width)
+    return Policy(load_vectors(config.net.vectors), config.net)

@@ -14,7 +14,8 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
-from giirl.config import Config, dump_config
+from giirl.config import Config
+from giirl.config_file import dump_config
 from giirl.goals import is_held_out
 from giirl.metrics import Metrics, write_targets
 from giirl.progress import Display, Job

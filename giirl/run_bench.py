@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from giirl import wire
-from giirl.config import load_config
+from giirl.config_file import load_config
 from giirl.run_bench_peers import ACTORS, Echo, Feed, feeding, model, serving
 from giirl.scoring import encode_request
 from giirl.supervision import Process
@@ -23,7 +23,7 @@ from learner.admission import IngestLimits
 from learner.ingest import Ingest
 
 BIG, SMALL = 200, 20  # rows of a page: an episode of ten such is 100 KB, or 10
-COLD = 400  # messages of 100 KB: more than a cache holds, as trajectories are when their turn comes
+COLD = 1000  # messages of 100 KB: more than a cache holds, as trajectories are when their turn comes
 ROUNDS = 5
 WAIT_S = 120.0
 Result = dict[str, Any]

@@ -61,10 +61,11 @@ def make(config: Config, metrics: Metrics, display: Display) -> list[Episode]:
 def recorded(
     path: Path, tasks: Sequence[str], limit: int | None, collections: Sequence[str] | None, display: Display
 ) -> tuple[list[Episode], ImportReport]:
-    """Human recordings of some tasks, at most `limit` clean ones of each; failures among them."""
+    """Human recordings of some tasks, or of all there are, at most `limit` clean ones of each; failures among them."""
     found = find_recordings(path, collections=collections)
-    with display.job("reading recordings", sum(len(found.get(task, ())) for task in tasks)) as job:
-        return import_recordings(path, tasks=tasks, limit=limit, collections=collections, on_file=job.advance)
+    wanted = tasks or list(found)
+    with display.job("reading recordings", sum(len(found.get(task, ())) for task in wanted)) as job:
+        return import_recordings(path, tasks=wanted, limit=limit, collections=collections, on_file=job.advance)
 
 
 def spoil(kept: list[Episode], config: Config, metrics: Metrics, display: Display) -> list[Episode]:

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from giirl.config import Config, dump_config, load_config
+from giirl.config import Config
+from giirl.config_file import dump_config, load_config
 from giirl.files import whole_file
 from giirl.spec import Episode, Weights
 from giirl.wire import read_episodes, write_episodes

@@ -16,7 +16,8 @@ from actors.rollouts import Schedule
 from actors.tally import Tally
 from actors.uplink import Uplink, UplinkLimits
 from actors.worker import Orphaned, Worker, WorkerLimits
-from giirl.config import MAX_ACTORS, Config, parse_config
+from giirl.config import MAX_ACTORS, Config
+from giirl.config_file import parse_config
 from giirl.language import load_vectors
 from giirl.metrics import Metrics
 from giirl.reward import build_policy, build_reward

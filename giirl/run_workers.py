@@ -13,7 +13,8 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
-from giirl.config import Config, dump_config
+from giirl.config import Config
+from giirl.config_file import dump_config
 from giirl.metrics import Metrics
 from giirl.run_folder import RunFolder
 from giirl.spec import Episode, Weights

@@ -41,7 +41,18 @@ __all__ = [
     "page_seed",
 ]
 
-TYPABLE_TAGS = frozenset({"input_text", "input_password", "input_email", "input_search", "input_number", "textarea"})
+TYPABLE_TAGS = frozenset(
+    {
+        "input_text",
+        "input_password",
+        "input_email",
+        "input_search",
+        "input_number",
+        "input_date",
+        "input_time",
+        "textarea",
+    }
+)
 NO_REF = 0  # Command.ref, .to: none of the page's elements
 UNSCORED = -1
 DEMONSTRATION = -1
@@ -75,6 +86,7 @@ class EpisodeSpec:
 
     task: str
     seed: int
+    mode: str = "train"  # or "test": a few tasks keep some of their instructions for it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,6 +126,14 @@ class Page:
         leaf = np.ones(len(self.tag), dtype=np.bool_)
         leaf[self.parent[self.parent >= 0]] = False
         return leaf
+
+    def below(self, row: int) -> list[int]:
+        """Every row that is part of this one, in document order."""
+        inside = {row}
+        for later in range(row + 1, len(self.tag)):
+            if int(self.parent[later]) in inside:
+                inside.add(later)
+        return sorted(inside - {row})
 
     @property
     def typable(self) -> NDArray[np.bool_]:
@@ -169,6 +189,7 @@ class StepResult:
     done: bool  # the page ended the episode
     observation: Observation | None  # None only where no episode follows
     lost: str = ""  # why the episode broke off through no doing of the policy, "" if it did not
+    reason: str = ""  # for the reward, where the page gives one
 
 
 class Browser(Protocol):

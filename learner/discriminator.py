@@ -39,6 +39,7 @@ class Discriminator:
     ) -> None:
         self.config, self.model, self.demos, self.replay = config, model, demos, replay
         self._reward_lag, self._metrics = reward_lag, metrics
+        self.accuracy = 1.0  # share of the newest rollouts' steps that it took for the policy's
         self.optimiser = torch.optim.AdamW(
             model.net.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
         )
@@ -52,10 +53,11 @@ class Discriminator:
         stats: dict[str, float] = {}
         for _ in range(self.config.updates):
             with timed_update(self._metrics, "reward"):
-                stats = self._descend(self._sources(expert, rollouts, policy))
+                stats = self._descend(self._sources(expert, rollouts, policy), policy)
         for name, value in stats.items():
             if name.startswith(ACCURACY):
                 self._metrics.discriminator_accuracy.labels(name.removeprefix(ACCURACY)).set(value)
+        self.accuracy = stats.get(f"{ACCURACY}rollouts", self.accuracy)
         self.replay.add(rollouts)
         return stats
 
@@ -129,7 +131,7 @@ class Discriminator:
         actions, _ = policy.sample(batch, uniform, torch.tensor([by_chance]))
         return [Step(step.features, action) for step, action in zip(shown, actions.first(), strict=True)]
 
-    def _descend(self, sources: dict[str, tuple[float, list[Step]]]) -> dict[str, float]:
+    def _descend(self, sources: dict[str, tuple[float, list[Step]]], policy: Policy) -> dict[str, float]:
         config, net = self.config, self.model.net
         net.train()
         batch, actions = collate_steps([step for _, steps in sources.values() for step in steps])
@@ -139,6 +141,10 @@ class Discriminator:
             torch.manual_seed(int(torch.randint(1 << 62, (1,), generator=self._noise)))
         read = net.read(batch, actions)
         logits = net.judge(read).flatten()
+        if config.form == "airl":
+            with torch.no_grad():
+                logp, _, _ = policy.evaluate(batch, actions)
+            logits = logits - logp.flatten()
         parts = dict(zip(sources, logits.split([len(steps) for _, steps in sources.values()]), strict=True))
         counted = {name: trimmed(part, config.trim) if name in OWN else part for name, part in parts.items()}
         loss = logistic_loss(parts[EXPERT], [(w, counted[name]) for name, (w, _) in sources.items() if name != EXPERT])

@@ -65,12 +65,21 @@ class Learner:
         return [torch.from_numpy(example.trajectory.rewards) for example in rollouts]
 
     def anneal(self, step: int) -> None:
-        """Set the learning rates of step 0 .. iterations - 1: a reward that still moves unsettles a solved policy."""
+        """Set the learning rates of step 0 .. iterations - 1: a reward that still moves unsettles a solved policy.
+
+        With `discriminator.slow` "accuracy" the discriminator's falls as the policy improves instead: it is at its
+        final rate where it cannot tell the newest rollouts from the expert any more.
+        """
         done = step / max(self.config.iterations - 1, 1)
-        for part in (self.discriminator, self.policy, self.soft_q):
-            rate = part.config.learning_rate * (1 - done * (1 - part.config.final_rate))
+        beaten = min(max(2.0 - 2.0 * self.discriminator.accuracy, 0.0), 1.0)
+        by_accuracy = self.config.discriminator.slow == "accuracy"
+        for part, fallen in (
+            (self.discriminator, beaten if by_accuracy else done),
+            (self.policy, done),
+            (self.soft_q, done),
+        ):
             for group in part.optimiser.param_groups:
-                group["lr"] = rate
+                group["lr"] = part.config.learning_rate * (1 - fallen * (1 - part.config.final_rate))
 
     def cloning_start(self) -> None:
         """Clone for `policy.cloning_start` updates before anything else; none by default."""
@@ -100,6 +109,7 @@ class Learner:
         state = {
             "version": self.version,
             "replay_seen": self.replay.seen,
+            "discriminator_accuracy": self.discriminator.accuracy,
             "draw": self._draw.bit_generator.state,
             "noise": bytes(self._noise.get_state().tolist()).hex(),
         }
@@ -120,6 +130,7 @@ class Learner:
             _load_optimiser(optimiser, (folder / f"{name}_optimiser.safetensors").read_bytes())
         self.replay.examples = self.study([e.trajectory for e in read_episodes(folder / "replay.giirl")])
         self.replay.seen = state["replay_seen"]
+        self.discriminator.accuracy = state["discriminator_accuracy"]
         self._draw.bit_generator.state = state["draw"]
         self._noise.set_state(torch.tensor(list(bytes.fromhex(state["noise"])), dtype=torch.uint8))
         self.version = state["version"]

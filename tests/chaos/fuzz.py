@@ -23,7 +23,7 @@ import psutil
 
 from browser_farm.recordings import read_recording
 from giirl import delivery, scoring, wire
-from giirl.config import load_config
+from giirl.config_file import load_config
 from giirl.delivery import Grant, Notice
 from giirl.metrics import Metrics
 from giirl.wire import PREFIX, WireError

@@ -11,7 +11,6 @@ import threading
 import psutil
 import pytest
 
-from browser_farm.experts import EXPERTS, expert
 from browser_farm.miniwob import STICKY
 from giirl.spec import Command, EpisodeSpec, StepResult, Verb
 from tests.farm.real_farm import Farm, click, seen
@@ -55,31 +54,6 @@ def test_a_following_episode_is_the_page_that_a_reset_would_show(farm: Farm) -> 
         result = farm.chrome.step({0: command})[0]
         assert (seen(result.observation), result.done, result.raw_reward) == (page, False, 0.0)
         assert observation.episode.seed == 5
-
-
-@pytest.mark.parametrize("task", sorted(EXPERTS))
-def test_the_expert_of_a_task_succeeds_on_every_page(farm: Farm, task: str) -> None:
-    play = expert(task)
-    observations = farm.open(task, 1, 2, 3)
-    rewards = {}
-    while observations:
-        commands = {}
-        for tab, observation in observations.items():
-            action = play(observation)
-            commands[tab] = Command(
-                verb=action.verb,
-                ref=int(observation.page.ref[action.element]),
-                text=action.text(observation.goal),
-                following=EpisodeSpec(task=task, seed=observation.episode.seed + 3),
-            )
-        for tab, result in farm.chrome.step(commands).items():
-            if result.done:
-                rewards[observations[tab].episode.seed] = result.raw_reward
-            assert result.observation is not None
-            observations[tab] = result.observation
-            if result.observation.episode.seed > 25:
-                del observations[tab]
-    assert rewards == dict.fromkeys(range(1, 26), 1.0)
 
 
 def test_typing_replaces_what_a_field_held_and_marks_it(farm: Farm) -> None:
@@ -154,14 +128,31 @@ def test_a_page_that_leaves_is_lost_at_the_next_step(farm: Farm) -> None:
     assert seen(result.observation) == seen(farm.open("click-test-2", 900)[0])
 
 
-def test_a_crashed_tab_is_lost_and_comes_back(farm: Farm) -> None:
-    observation = farm.open("click-test-2", 3)[0]
+def test_a_crash_takes_the_tabs_of_its_process_alone_and_all_come_back(farm: Farm) -> None:
+    observations = farm.open("click-test-2", 3, 4, 5)
     tabs = farm.chrome._tabs
-    tabs._tools.post(tabs._tabs[0].session, "Page.crash")
-    result = farm.chrome.step({0: click(observation, 1)})[0]
-    assert (result.lost, farm.causes) == ("tab_crashed", ["tab_crashed"])
-    assert result.observation is not None
-    assert farm.chrome.step({0: click(result.observation, 1)})[0].raw_reward == 1.0
+    together = sorted(tabs._hub(0).tabs)
+    tabs._tools.post(tabs._tab(0).session, "Page.crash")
+    results = farm.chrome.step({0: click(observations[0], 1)})
+    results |= farm.chrome.step({tab: click(observations[tab], 1) for tab in (1, 2)})
+    assert {tab: result.lost for tab, result in results.items()} == {
+        tab: "tab_crashed" if tab in together else "" for tab in (0, 1, 2)
+    }
+    assert (together, farm.causes) == ([0, 2], ["tab_crashed"] * 2)
+    again = {tab: result.observation for tab, result in results.items() if result.observation is not None}
+    done = farm.chrome.step({tab: click(observation, 1) for tab, observation in again.items()})
+    assert [result.raw_reward for result in done.values()] == [1.0] * 3
+
+
+def test_a_loop_costs_the_page_that_is_in_it_even_where_others_share_its_process(farm: Farm) -> None:
+    observations = farm.open("click-test-2", 3, 4, 5)
+    farm.on_click(0, "while (true);")
+    results = farm.chrome.step({tab: click(observation, 1) for tab, observation in observations.items()})
+    assert {tab: (result.done, result.lost) for tab, result in results.items()} == {
+        0: (False, "page_hung"),
+        1: (True, ""),
+        2: (True, ""),
+    }
 
 
 def test_a_page_reaches_no_network_not_even_this_machine(farm: Farm) -> None:

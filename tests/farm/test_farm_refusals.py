@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import stat
 from pathlib import Path
 
@@ -11,7 +12,6 @@ from browser_farm import pages
 from browser_farm.experts import expert
 from browser_farm.farm import ChromeFarm
 from browser_farm.miniwob import STICKY, needs_fresh_document, page_url, tasks
-from giirl.spec import Command, EpisodeSpec, Verb
 
 
 @pytest.mark.parametrize("variable", ["GIIRL_CHROME", "GIIRL_CHROMEDRIVER"])
@@ -62,15 +62,16 @@ def test_a_farm_refuses_numbers_that_cannot_be_meant(wrong: dict[str, float]) ->
         ChromeFarm(**wrong)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("text", ["", "null", "[1]", '[0,false,[["a"],[],[],[],[],[]],"Go."]', '[0,false,null,""]'])
+@pytest.mark.parametrize("text", ["0", "null", "[1]", '[0,false,[["a"],[],[],[],[],[]],"Go."]', '[0,false,null,""]'])
 def test_an_answer_that_is_none_is_a_value_error(text: str) -> None:
     with pytest.raises((ValueError, TypeError)):
-        pages.decode(text)
+        pages.decode(json.loads(text))
 
 
 def test_an_answer_becomes_a_page_row_by_row() -> None:
     strings = '["p","input_text"],["hi",""],["","x"],["a b",""]'
-    answer = pages.decode(f'[0.5,true,[{strings},[1,-1,0,2,-1,3],[0,1,2,3,4,5,6,7.5],[1,"red","circle"]],"Go on."]')
+    numbers = '[1,-1,0,2,-1,3],[0,1,2,3,4,5,6,7.5],[1,"red","circle"]'
+    answer = pages.decode(json.loads(f'[0.5,true,[{strings},{numbers}],"Go on."]'))
     assert answer.page is not None
     assert answer.goal is not None
     assert (answer.raw_reward, answer.done, answer.goal.utterance) == (0.5, True, "Go on.")
@@ -79,12 +80,3 @@ def test_an_answer_becomes_a_page_row_by_row() -> None:
     assert answer.page.tampered.tolist() == [False, True]
     assert answer.page.box.tolist() == [[0, 1, 2, 3], [4, 5, 6, 7.5]]
     assert (answer.page.colour, answer.page.shape) == (("", "red"), ("", "circle"))
-
-
-def test_text_cannot_break_out_of_the_call_that_types_it() -> None:
-    following = EpisodeSpec(task="enter-text", seed=2)
-    command = Command(verb=Verb.TYPE, ref=3, text='\');alert("1");//\n\u2028', following=following)
-    call = pages.step_call(command, "enter-text")
-    assert "\n" not in call
-    assert "\u2028" not in call
-    assert '\\"1\\"' in call

@@ -17,7 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from browser_farm import recordings
-from browser_farm.recordings import import_recordings, read_recording
+from browser_farm.recordings import find_recordings, import_recordings, read_recording
+from giirl.spec import Trajectory
 from tests.farm.recording_pages import Tape, entered, form
 
 # ---- what is no recording
@@ -187,30 +188,50 @@ def test_an_unknown_collection_or_an_empty_folder_is_a_value_error(tmp_path: Pat
 
 # ---- the public recordings, where they are at hand
 
+PUBLIC = pytest.mark.skipif("GIIRL_DEMOS" not in os.environ, reason="GIIRL_DEMOS names no folder of public recordings")
 
-@pytest.mark.skipif("GIIRL_DEMOS" not in os.environ, reason="GIIRL_DEMOS names no folder of public recordings")
-def test_the_public_recordings_of_the_four_tasks_hold_what_their_instructions_ask() -> None:
+
+def asked(trajectory: Trajectory) -> list[tuple[str, str, str, str]]:
+    """What the instruction asks for: verb, tag, its words, what to type."""
+    quoted = re.findall('"(.*?)"', trajectory.goal.utterance)
+    dates = re.findall(r"\d+/\d+/\d+", trajectory.goal.utterance)
+    times = re.findall(r"\d+:\d+(?: [AP]M)?", trajectory.goal.utterance)
+    return {
+        "click-test": [("CLICK", "button", "Click Me!", "")],
+        "click-test-2": [("CLICK", "button", "ONE", "")],
+        "click-button": [("CLICK", "button", *quoted, "")],
+        "focus-text": [("CLICK", "input_text", "", "")],
+        "enter-text": [("TYPE", "input_text", "", *quoted), ("CLICK", "button", "Submit", "")],
+        "enter-date": [("TYPE", "input_date", "", *dates), ("CLICK", "button", "Submit", "")],
+        "enter-time": [("TYPE", "input_time", "", *times), ("CLICK", "button", "Submit", "")],
+    }[trajectory.task]
+
+
+@PUBLIC
+def test_the_public_recordings_do_what_their_instructions_ask_in_every_file() -> None:
     root = Path(os.environ["GIIRL_DEMOS"])
-    tasks = ["click-test", "click-test-2", "click-button", "enter-text"]
+    tasks = ["click-test", "click-test-2", "click-button", "focus-text", "enter-text", "enter-date", "enter-time"]
     episodes, report = import_recordings(root, tasks=tasks)
     for task, count in report.tasks.items():
         assert count.clean >= 28, task
         assert set(count.skipped) <= {"empty", "repeated"}, task
     for episode in episodes:
         trajectory = episode.trajectory
-        quoted = re.findall('"(.*?)"', trajectory.goal.utterance)
-        wanted = {
-            "click-test": [("CLICK", "button", "Click Me!", "")],
-            "click-test-2": [("CLICK", "button", "ONE", "")],
-            "click-button": [("CLICK", "button", *quoted, "")],
-            "enter-text": [("TYPE", "input_text", "", *quoted), ("CLICK", "button", "Submit", "")],
-        }
-        assert wanted[trajectory.task] == [
-            (
-                action.verb.name,
-                page.tag[action.element],
-                page.text[action.element],
-                action.text(trajectory.goal),
-            )
+        assert episode.outcome.success
+        assert asked(trajectory) == [
+            (action.verb.name, page.tag[action.element], page.text[action.element], action.text(trajectory.goal))
             for page, action in zip(trajectory.pages, trajectory.actions, strict=True)
         ]
+
+
+@PUBLIC
+@pytest.mark.slow
+def test_nine_of_ten_recordings_of_the_second_collection_come_out_clean_and_none_is_unaccounted_for() -> None:
+    root = Path(os.environ["GIIRL_DEMOS"])
+    found = find_recordings(root, collections=["2017-10-16_second-turk"])
+    episodes, report = import_recordings(root, tasks=list(found), collections=["2017-10-16_second-turk"])
+    counts = report.tasks.values()
+    assert all(count.files == count.clean + count.failures + sum(count.skipped.values()) for count in counts)
+    assert sum(count.files for count in counts) == sum(map(len, found.values()))
+    assert sum(count.clean for count in counts) >= 0.9 * sum(count.files for count in counts)
+    assert len(episodes) == sum(count.clean + count.failures for count in counts)

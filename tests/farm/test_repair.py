@@ -208,7 +208,7 @@ def test_pulling_a_scroll_bar_is_no_action(tmp_path: Path) -> None:
 def test_text_that_is_not_in_the_instruction_is_refused(tmp_path: Path) -> None:
     tape = Tape(form(), 'Enter "Ada" and press Submit.')
     tape.click(5)
-    tape.type(5, "ada")
+    tape.type(5, "Eve")
     tape.click(6)
     assert refused(tape, tmp_path) == "text not in instruction"
 
@@ -220,12 +220,19 @@ def test_a_choice_from_a_native_list_is_refused(tmp_path: Path) -> None:
     assert refused(tape, tmp_path) == "native list"
 
 
-def test_a_date_field_is_refused_because_policies_cannot_type_into_it(tmp_path: Path) -> None:
-    tape = Tape(body(element("INPUT_date", 4, value="", text=""), element("BUTTON", 6, text="ok")), "Enter 2019.")
+def test_a_slider_is_refused_because_policies_cannot_type_into_it(tmp_path: Path) -> None:
+    tape = Tape(body(element("INPUT_range", 4, value="", text=""), element("BUTTON", 6, text="ok")), "Set it to 7.")
     tape.click(4)
-    tape.type(4, "2019")
+    tape.type(4, "7")
     tape.click(6)
     assert refused(tape, tmp_path) == "field takes no text"
+
+
+def test_a_failure_keeps_the_letters_that_were_typed_not_those_that_were_asked_for(tmp_path: Path) -> None:
+    tape = Tape(form(), 'Enter "Ada" and press Submit.')
+    tape.type(5, "ada")
+    tape.click(6)
+    assert deeds(done(tape, tmp_path, raw_reward=-1)) == [("TYPE", 5, ""), ("CLICK", 6, "")]
 
 
 def test_checkboxes_that_flip_without_a_click_are_refused(tmp_path: Path) -> None:

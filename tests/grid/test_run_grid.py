@@ -11,7 +11,8 @@ from click.testing import CliRunner
 
 from giirl import grid_settings, run_reproduce
 from giirl.cli import giirl
-from giirl.config import Config, GridConfig, load_config
+from giirl.config import Config, GridConfig
+from giirl.config_file import load_config
 from giirl.figures import Panel, draw_maps, draw_returns
 from giirl.gridcraft_instructions import Pair
 from giirl.gridcraft_layouts import named_layout

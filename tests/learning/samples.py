@@ -11,6 +11,7 @@ from actors.choosers import ExpertChooser
 from actors.rollouts import Schedule, play
 from browser_farm.experts import expert
 from browser_farm.fake import TASKS, FakeFarm
+from giirl.config import NetConfig
 from giirl.features import Batch, collate, featurise
 from giirl.language import Vectors, load_vectors
 from giirl.metrics import Metrics
@@ -60,13 +61,13 @@ def batch_of(*cases: tuple[Page, Goal]) -> Batch:
 def policy(seed: int = 0) -> Policy:
     """An untrained policy."""
     torch.manual_seed(seed)
-    return Policy(vectors(), WIDTH)
+    return Policy(vectors(), NetConfig(width=WIDTH))
 
 
 def reward_net(seed: int = 0) -> RewardNet:
     """An untrained reward."""
     torch.manual_seed(seed)
-    return RewardNet(vectors(), WIDTH)
+    return RewardNet(vectors(), NetConfig(width=WIDTH))
 
 
 def legal_actions(shown: Page, goal: Goal) -> list[Action]:

@@ -4,23 +4,36 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 import torch
 
-from giirl.config import Config, DiscriminatorConfig, SoftQConfig
+from giirl.config import Config, DiscriminatorConfig, NetConfig, SoftQConfig
 from giirl.goals import is_held_out
 from giirl.metrics import Metrics
-from giirl.reward import episode_rewards
+from giirl.models import Policy
+from giirl.reward import RewardModel, episode_rewards
 from giirl.spec import Action, Goal, Verb
 from learner.algorithms import ALGORITHMS
 from learner.discriminator import Discriminator
 from learner.examples import Replay, collate_steps, last_step, steps_of, study
+from learner.learner import Learner
 from learner.losses import iq_loss, sqil_loss, trimmed
 from learner.soft_q import SoftQ
-from tests.learning.samples import FLAT, SHORT, legal_actions, policy, trajectory, vectors
+from tests.learning.samples import (
+    FLAT,
+    SHORT,
+    batch_of,
+    expert_episodes,
+    legal_actions,
+    page,
+    policy,
+    reward_net,
+    trajectory,
+    vectors,
+)
 
 GOAL = "Type ok."
 RIGHT = Action(verb=Verb.TYPE, element=1, start=1, end=1)
@@ -155,3 +168,78 @@ def test_about_the_asked_share_of_goals_is_held_out_and_case_makes_no_other_goal
     assert 0.2 < np.mean(held) < 0.3
     assert held == [is_held_out(Goal(goal.utterance.replace("word", "WORD")), 0.25) for goal in goals]
     assert not any(is_held_out(goal, 0.0) for goal in goals)
+
+
+def test_without_overlap_a_net_reads_the_same_of_words_that_agree_and_words_that_do_not() -> None:
+    agree = batch_of((FLAT, Goal('Click on the "Ok" button.')))
+    for overlap, same in ((True, False), (False, True)):
+        torch.manual_seed(0)
+        net = Policy(vectors(), NetConfig(width=16, overlap=overlap))
+        blind = replace(
+            agree,
+            matches=torch.zeros_like(agree.matches),
+            token_flags=agree.token_flags * torch.tensor([1, 1, 1, 0, 0, 1.0]),
+            element_flags=agree.element_flags * torch.tensor([1.0] * 10 + [0.0] * 6),
+        )
+        assert torch.equal(net.encoder(agree).elements, net.encoder(blind).elements) is same
+
+
+def test_a_bag_of_words_does_not_know_their_order() -> None:
+    one, two = Goal("Click Ok not Cancel"), Goal("Click Cancel not Ok")
+    for order, same in ((True, False), (False, True)):
+        torch.manual_seed(0)
+        encoder = Policy(vectors(), NetConfig(width=16, order=order, overlap=False)).encoder
+        first, second = (encoder(batch_of((FLAT, goal))).summary for goal in (one, two))
+        assert torch.allclose(first, second, atol=1e-5) is same
+
+
+def test_without_neighbours_an_element_is_read_alone() -> None:
+    alone = page("button:Ok")
+    for neighbours, same in ((True, False), (False, True)):
+        torch.manual_seed(0)
+        encoder = Policy(vectors(), NetConfig(width=16, neighbours=neighbours)).encoder
+        first, second = (
+            encoder(batch_of((shown, Goal("Click Ok")))).elements[0, 0] for shown in (alone, page("button:Ok", "div:x"))
+        )
+        assert torch.allclose(first, second, atol=1e-6) is same
+
+
+@pytest.mark.parametrize("form", ["plain", "airl"])
+def test_the_airl_form_weighs_a_logit_against_how_likely_the_policy_is_to_do_it(
+    form: Literal["plain", "airl"],
+) -> None:
+    """Where expert and policy act alike the optimal logit is 0: AIRL's f then is log pi, the plain form's is 0."""
+    draw, noise = np.random.default_rng(0), torch.Generator().manual_seed(0)
+    none = {"rollouts": 0.0, "replay": 0.0, "chance": 0.0, "wrong_goal": 0.0, "rename": 0.0}
+    config = DiscriminatorConfig(form=form, updates=1, batch=32, demo_states=1.0, **none)  # type: ignore[arg-type]
+    net = policy()
+    actions = legal_actions(SHORT, Goal(GOAL))
+    batch, every = collate_steps(steps_of([study(trajectory(GOAL, [SHORT], [a]), vectors()) for a in actions]))
+    with torch.no_grad():
+        logp = net.evaluate(batch, every)[0].squeeze(1)
+    demos: Any = SimpleNamespace(wrong_goals=lambda expert: [])
+    model = RewardModel(reward_net(), vectors(), "logit", 100.0)
+    judge = Discriminator(config, model, demos, Replay(4, draw), draw, noise, reward_lag=1, metrics=Metrics())
+    played = torch.multinomial(logp.exp(), 400, replacement=True, generator=noise).tolist()
+    expert = [study(trajectory(GOAL, [SHORT], [actions[i]]), vectors()) for i in played]
+    for start in range(0, 400, 32):
+        judge.update(expert[start : start + 32], expert[:1], net)
+        judge.update(expert[start : start + 32], expert[:1], net)
+    learned = judge.ask(batch, every).squeeze(1)
+    likely = logp > logp.max() - 3
+    gap = (learned - (logp if form == "airl" else 0.0))[likely].abs().mean().item()
+    wrong = (learned - (0.0 if form == "airl" else logp))[likely].abs().mean().item()
+    assert gap < wrong
+
+
+def test_a_discriminator_that_slows_with_its_accuracy_learns_at_full_rate_while_it_is_right() -> None:
+    demonstrations = [episode.trajectory for episode in expert_episodes(1)]
+    config = Config(
+        net=NetConfig(width=16, vectors="hashed"),
+        discriminator=DiscriminatorConfig(slow="accuracy", learning_rate=1.0, final_rate=0.1),
+    )
+    learner = Learner(config, demonstrations, Metrics())
+    for accuracy, rate in ((1.0, 1.0), (0.75, 0.55), (0.5, 0.1), (0.0, 0.1)):
+        learner.discriminator.accuracy = accuracy
+        learner.anneal(config.iterations // 2)
+        assert learner.discriminator.optimiser.param_groups[0]["lr"] == pytest.approx(rate)

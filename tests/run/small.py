@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from giirl.config import Config, load_config
+from giirl.config import Config
+from giirl.config_file import load_config
 from giirl.progress import Display
 from giirl.run import train
 from giirl.run_folder import RunFolder

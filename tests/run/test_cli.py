@@ -219,7 +219,9 @@ def test_demonstrations_made_by_the_command_can_be_counted_and_learned_from(giir
     episodes = read_episodes(tmp_path / "d.giirl")
     assert len(episodes) == 12
     assert all(episode.outcome.success for episode in episodes)
-    assert "enter-text" in giirl("demos", "stats", "d.giirl").out
+    said = giirl("demos", "stats", "d.giirl").out
+    assert "enter-text" in said
+    assert "type 3" in " ".join(said.split())
     words = ("demos.source=file", "demos.path=d.giirl", "demos.per_task=2", "iterations=1", "run=out", "--json", "r")
     assert giirl("train", *SETTINGS, *words).status == 0
     assert set(json.loads((tmp_path / "r").read_text())["demonstrations"].values()) == {2}
@@ -234,11 +236,17 @@ def test_demonstrations_made_by_the_command_can_be_counted_and_learned_from(giir
         (["make", "--browser", "fake", "--out", "a", "--task", "click-buton"], "did you mean 'click-button'"),
         (["make", "--browser", "fake", "--out", "a", "--seed", "70000"], "seed = 70000"),
         (["import", "missing", "--out", "a"], "missing"),
+        (["experts", "--task", "click-buton"], "did you mean 'click-button'"),
+        (["experts", "--json", "notes.txt", "--go-on"], "notes.txt is no result of giirl demos experts"),
+        (["record", "--out", "a"], "there is no screen"),
+        (["record", "--out", "a", "--task", "flight.AA"], "flight.AA cannot be recorded"),
     ],
 )
 def test_demonstrations_that_cannot_be_had_are_one_line_and_no_file(
-    words: list[str], said: str, giirl: Command, tmp_path: Path
+    words: list[str], said: str, giirl: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    for screen in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(screen, raising=False)
     (tmp_path / "notes.txt").write_text("dear")
     assert said in giirl("demos", *words).complaint
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]

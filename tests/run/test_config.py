@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from giirl.config import Config, dump_config, keys, load_config
+from giirl.config import Config
+from giirl.config_file import dump_config, keys, load_config
 
 
 def test_without_file_or_changes_the_defaults_hold() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from giirl.config import load_config
+from giirl.config_file import load_config
 from giirl.metrics import Metrics
 from giirl.progress import Display
 from giirl.run import train

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from giirl.config import load_config
+from giirl.config_file import load_config
 from giirl.goals import is_held_out
 from giirl.run_folder import RunFolder
 from giirl.run_serial import SerialRuntime

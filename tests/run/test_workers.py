@@ -43,7 +43,8 @@ def test_lock_step_over_sockets_gives_the_same_bits_whoever_is_quicker(
 def test_actors_are_added_and_removed_while_a_run_goes_on(
     runtimes: list[WorkersRuntime], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    take, heard = WorkersRuntime.take, []
+    take = WorkersRuntime.take
+    heard: list[list[str]] = []
 
     def resizing(self: WorkersRuntime, episodes: int) -> list[Episode]:
         wanted = {2: 3, 5: 1}.get(len(heard))

@@ -1,0 +1,9 @@
+"""Scripted players that are right every time: they make demonstrations and show that the browser works.
+
+Each is a function from what a policy sees to an action that a policy could take, and remembers nothing.
+"""
+
+from browser_farm.experts import buttons, dates, drags, forms, games, lists, mail, posts, shapes  # noqa: F401  (each enters its experts)
+from browser_farm.experts.sight import EXPERTS, Stuck, expert
+
+__all__ = ["EXPERTS", "Stuck", "expert"]

@@ -1,0 +1,112 @@
+"""`giirl reproduce` for the web chapter: each study one command, one JSON, one table."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.table import Column, Table
+
+from giirl.cli_demos import writable
+from giirl.files import whole_file
+from giirl.progress import Display
+from giirl.run_web import STUDIES, Study, base_settings
+
+ROOT = Path("runs/studies")
+
+
+def commands() -> list[click.Command]:
+    """One for each study."""
+    return [_command(name, study) for name, study in STUDIES.items()]
+
+
+def _command(name: str, study: Study) -> click.Command:
+    @click.command(name, help=f"{study.what}; real Chrome, some minutes a run.")
+    @click.option("--demos", type=click.Path(path_type=Path), help="Public human recordings; scripted experts if not.")
+    @click.option("--seeds", type=click.IntRange(1), default=1, show_default=True, help="How many, from 0 on.")
+    @click.option("--first-seed", type=click.IntRange(0), default=0, help="From another on: 100 and above for tuning.")
+    @click.option("--at-once", type=click.IntRange(1), default=2, show_default=True, help="Runs at the same time.")
+    @click.option("--set", "changes", multiple=True, metavar="KEY=VALUE", help="For all runs; may be given again.")
+    @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the numbers here.")
+    def command(
+        demos: Path | None, seeds: int, first_seed: int, at_once: int, changes: tuple[str, ...], json_file: Path | None
+    ) -> None:
+        _reproduce(name, study, demos, range(first_seed, first_seed + seeds), at_once, changes, json_file)
+
+    return command
+
+
+def _reproduce(
+    name: str,
+    study: Study,
+    demos: Path | None,
+    seeds: Sequence[int],
+    at_once: int,
+    changes: Sequence[str],
+    json_file: Path | None,
+) -> None:
+    """Runs that share nothing but the machine play in one thread each; a single one has the machine to itself."""
+    from giirl.run_study import plan, record, run_all
+
+    writable(json_file)
+    display, since_s = Display(), time.monotonic()
+    alone = len(seeds) * len(study.variants) == 1
+    base = (*base_settings(study, demos), f"runtime={'local' if alone else 'serial'}", *changes)
+    runs = plan(base, study.variants, seeds, ROOT)
+    run_all(runs, at_once=at_once, display=display)
+    result = summary(name, [record(run) for run in runs])
+    if alone:
+        result["wall_seconds"] = round(time.monotonic() - since_s, 1)
+    if study.curves:
+        from giirl.figures import draw_successes
+
+        figure = ROOT / f"{name}.png"
+        draw_successes(figure, result["runs"])
+        display.say(f"drawn: {figure}")
+    if json_file is not None:
+        with whole_file(json_file) as file:
+            file.write(json.dumps(result, indent=1).encode() + b"\n")
+    display.table(study_table(study.what, result))
+
+
+def summary(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """A study's numbers: those of its first variant at the top, every variant's below, every run's behind."""
+    from giirl.run_study import pooled
+
+    variants: dict[str, dict[str, Any]] = {}
+    for variant in dict.fromkeys(run["variant"] for run in runs):
+        mine = [run for run in runs if run["variant"] == variant]
+        variants[variant] = {"tasks": pooled(mine), "seeds": [run["seed"] for run in mine]}
+        for group in ("trained_goals", "held_out_goals"):
+            if all(group in row for run in mine for row in run["tasks"].values()):
+                variants[variant][group] = pooled(mine, group)
+    first = [run for run in runs if run["variant"] == runs[0]["variant"]]
+    return {
+        "study": name,
+        "tasks": variants[runs[0]["variant"]]["tasks"],
+        "seconds": max(run["seconds"] for run in first),
+        "env_steps": max(run["env_steps"] for run in first),
+        "demonstrations": first[0]["demonstrations"],
+        "variants": variants,
+        "runs": runs,
+    }
+
+
+def study_table(title: str, result: dict[str, Any]) -> Table:
+    """Success of every variant with its interval, over all seeds."""
+    tasks = list(dict.fromkeys(task for found in result["variants"].values() for task in found["tasks"]))
+    table = Table("", Column("seeds", justify="right"), *(Column(task, justify="right") for task in tasks), title=title)
+    for name, found in result["variants"].items():
+        cells = [_cell(found["tasks"][task]) if task in found["tasks"] else "-" for task in tasks]
+        table.add_row(name, str(len(found["seeds"])), *cells)
+        if "held_out_goals" in found:
+            table.add_row("  goals never seen", "", *(_cell(found["held_out_goals"][task]) for task in tasks))
+    return table
+
+
+def _cell(row: dict[str, Any]) -> str:
+    return f"{100 * row['success']:.1f} ({100 * row['low']:.1f} - {100 * row['high']:.1f})"

@@ -1,0 +1,127 @@
+"""The thesis's web chapter as studies: what is run for each table and figure, and for the questions beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from giirl.run_study import Variant
+
+RECORDINGS = "2017-10-16_second-turk"
+BUDGETS = (1, 2, 4, 8, 16, 32)
+SPOILED = (0.1, 0.3)
+
+GIIRL = Variant(name="giirl")
+CLONING = Variant(name="cloning", changes=("algorithm=cloning",))
+PLAIN = (  # Algorithm 1 as the thesis has it, and GAIL's way to play against a discriminator
+    "discriminator.rollouts=1",
+    "discriminator.replay=0",
+    "discriminator.demo_states=0",
+    "discriminator.chance=0",
+    "discriminator.wrong_goal=0",
+    "discriminator.rename=0",
+    "policy.asked=0",
+)
+AGILE = (  # a classifier of how episodes end
+    "discriminator.replay=1",
+    "discriminator.judges=ends",
+    "discriminator.reward=goal",
+    "discriminator.trim=0.25",
+)
+BASELINES = (
+    GIIRL,
+    CLONING,
+    Variant(name="plain Algorithm 1", changes=PLAIN),
+    Variant(name="GAIL", changes=(*PLAIN, "discriminator.reward=gail")),
+    Variant(name="giirl, GAIL's reward form", changes=("discriminator.reward=gail",)),
+    Variant(name="AGILE", changes=(*PLAIN, *AGILE)),
+    Variant(name="SQIL", changes=("algorithm=sqil",)),
+    Variant(name="IQ-Learn", changes=("algorithm=iq_learn",)),
+    Variant(name="true reward", changes=("algorithm=true_reward",)),
+)
+NETS = (
+    GIIRL,
+    Variant(name="bag of words", changes=("net.order=false",)),
+    Variant(name="hashed words instead of GloVe", changes=("net.vectors=hashed",)),
+    Variant(name="no overlap features", changes=("net.overlap=false",)),
+    Variant(name="no neighbours", changes=("net.neighbours=false",)),
+    Variant(name="AIRL's form", changes=("discriminator.form=airl",)),
+    Variant(name="slower as the policy improves", changes=("discriminator.slow=accuracy",)),
+    Variant(name="gradient penalty 1", changes=("discriminator.gradient_penalty=1",)),
+)
+FOLLOWERS = (
+    GIIRL,
+    CLONING,
+    Variant(name="fresh policy, frozen reward", reward_of="giirl"),
+    Variant(name="true reward", changes=("algorithm=true_reward",)),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Study:
+    """What is run, for whom; `pages` are the fresh ones a task and seed that each policy is measured on."""
+
+    what: str
+    variants: tuple[Variant, ...]
+    settings: tuple[str, ...] = ()
+    pages: int = 200
+    curves: bool = False  # whether success against environment steps is drawn
+
+
+def _budgets() -> tuple[Variant, ...]:
+    few = [
+        Variant(name=f"{variant.name}, {budget}", changes=(*variant.changes, f"demos.per_task={budget}"))
+        for budget in BUDGETS
+        for variant in (GIIRL, CLONING)
+    ]
+    spoiled = [
+        Variant(name=f"{variant.name}, {share:.0%} spoiled", changes=(*variant.changes, f"demos.spoiled={share}"))
+        for share in SPOILED
+        for variant in (GIIRL, CLONING)
+    ]
+    return (*few, *spoiled)
+
+
+def _families() -> tuple[Variant, ...]:
+    """A reward learned on one task of a family, and what a fresh policy makes of it on another."""
+    moves = {
+        "click-button": ("click-link",),
+        "click-checkboxes": ("click-checkboxes-large", "click-checkboxes-soft", "click-checkboxes-transfer"),
+    }
+    variants: list[Variant] = []
+    for source, targets in moves.items():
+        learned = Variant(name=source, changes=(f'tasks=["{source}"]',))
+        variants.append(learned)
+        for target in targets:
+            there = (f'tasks=["{target}"]',)
+            variants.append(Variant(name=f"{source} to {target}", changes=there, reward_of=source))
+            variants.append(Variant(name=f"{target}, true reward", changes=(*there, "algorithm=true_reward")))
+            variants.append(Variant(name=f"{target}, random", changes=(*there, "algorithm=cloning", "iterations=1")))
+    return tuple(variants)
+
+
+STUDIES = {
+    "table-4.1": Study(what="Success on the thesis's four web tasks", variants=(GIIRL,), pages=1000),
+    "figure-4.7": Study(what="True success while a reward is learned", variants=(GIIRL,), pages=1000, curves=True),
+    "figure-4.8": Study(what="GIIRL and cloning as they train", variants=(GIIRL, CLONING), pages=1000, curves=True),
+    "baselines": Study(what="What GIIRL is compared with, on the same nets", variants=BASELINES, curves=True),
+    "budgets": Study(what="Few demonstrations, and spoiled ones", variants=_budgets()),
+    "frozen": Study(what="Fresh policies on the frozen reward", variants=FOLLOWERS, curves=True),
+    "held-out": Study(
+        what="Goals that training never saw",
+        variants=(GIIRL, CLONING, Variant(name="fresh policy, frozen reward", reward_of="giirl")),
+        settings=('tasks=["click-button", "click-link", "enter-text"]', "held_out_goals=0.25"),
+        pages=1000,
+    ),
+    "families": Study(what="A reward moved within a family of tasks", variants=_families()),
+    "nets": Study(what="What each part of the reward's net is worth", variants=NETS),
+}
+
+
+def base_settings(study: Study, demos: Path | None) -> tuple[str, ...]:
+    """Settings of all its runs: people's recordings from a folder, at most 32 a task, or else as many scripted ones."""
+    source: tuple[str, ...] = ("demos.source=scripted",)
+    if demos is not None:
+        source = ("demos.source=recordings", f"demos.path={demos}", f'demos.collections=["{RECORDINGS}"]')
+    pages = (f"evaluate.episodes={study.pages}", f"evaluate.floor_episodes={study.pages}")
+    return (*source, "demos.per_task=32", *pages, *study.settings)

@@ -1,0 +1,105 @@
+"""Studies: planned from settings, run once, resumed where they broke off, and added up."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from giirl.cli_reproduce_web import commands, study_table, summary
+from giirl.figures import draw_successes
+from giirl.progress import Display
+from giirl.run_folder import RunFolder
+from giirl.run_study import Variant, plan, pooled, record, run_all
+from giirl.run_web import STUDIES, base_settings
+from tests.run.small import SETTINGS
+
+VARIANTS = (
+    Variant(name="giirl"),
+    Variant(name="follower", reward_of="giirl"),
+    Variant(name="cloning", changes=("algorithm=cloning",)),
+)
+
+
+def test_the_same_settings_are_the_same_run_and_a_follower_waits_for_its_own_seed_s_reward(tmp_path: Path) -> None:
+    runs = plan(SETTINGS, VARIANTS, [0, 1], tmp_path)
+    again = plan(SETTINGS, VARIANTS, [0, 1], tmp_path)
+    assert [run.folder for run in runs] == [run.folder for run in again]
+    assert len({run.folder for run in runs}) == 6
+    folder = {(run.variant.name, run.seed): run.folder for run in runs}
+    for run in runs:
+        expected = str(folder["giirl", run.seed]) if run.variant.name == "follower" else ""
+        assert run.config.reward_from == expected
+
+
+def test_runs_are_done_once_and_one_that_fails_does_not_stop_the_others(tmp_path: Path) -> None:
+    settings = [*SETTINGS, "iterations=2"]
+    broken = Variant(name="broken", changes=("demos.source=file", f"demos.path={tmp_path / 'none'}"))
+    orphan = Variant(name="orphan", reward_of="broken")
+    runs = plan(settings, (broken, orphan, *VARIANTS), [0], tmp_path / "runs")
+    with pytest.raises(RuntimeError, match=r"1 runs failed, the first of them broken, seed 0: giirl: .*none"):
+        run_all(runs, at_once=2, display=Display())
+    done = {run.variant.name: run for run in runs if run.done}
+    assert set(done) == {"giirl", "follower", "cloning"}
+    before = {name: RunFolder(run.folder).result.stat().st_mtime_ns for name, run in done.items()}
+    run_all(list(done.values()), at_once=2, display=Display())
+    assert before == {name: RunFolder(run.folder).result.stat().st_mtime_ns for name, run in done.items()}
+    records = [record(run) for run in done.values()]
+    assert [each["algorithm"] for each in records] == ["giirl", "frozen", "cloning"]
+    assert records[0]["curve"][-1]["episodes"] == 2 * 8
+    result = summary("test", records)
+    json.dumps(result)
+    assert set(result["variants"]) == set(done)
+    assert study_table("test", result).row_count == 3
+
+
+def made(variant: str, seed: int, successes: list[int]) -> dict[str, Any]:
+    """A record as a run of one task leaves it, but for its curve's length."""
+    share = sum(successes) / len(successes)
+    task = {"episodes": len(successes), "success": share, "low": 0.0, "high": 1.0, "random": 0.1, "random_episodes": 10}
+    curve = [
+        {"env_steps": 100 * step, "episodes": 10 * step, "success": {"click-it": None if step < 2 else share}}
+        for step in range(1, 6)
+    ]
+    return {"variant": variant, "seed": seed, "tasks": {"click-it": task}, "curve": curve}
+
+
+def test_seeds_are_added_up_with_the_interval_of_all_their_episodes() -> None:
+    found = pooled([made("a", 0, [1, 1, 1, 0]), made("a", 1, [1, 1])])["click-it"]
+    assert found["episodes"] == 6
+    assert found["success"] == pytest.approx(5 / 6, abs=1e-4)
+    assert found["random_episodes"] == 20
+    assert found["worst_seed"] == 0.75
+    assert found["low"] < found["success"] < found["high"]
+
+
+def test_a_curve_says_when_enough_episodes_in_a_row_were_won(tmp_path: Path) -> None:
+    (run,) = plan(SETTINGS, VARIANTS[:1], [0], tmp_path)
+    folder = RunFolder(run.folder)
+    run.folder.mkdir(parents=True)
+    for step in range(1, 31):
+        outcomes = {"click-it": [int(step > 10)] * 5, "press-it": [0] * 5}
+        folder.append_curve({"step": step, "env_steps": 20 * step, "episodes": 10 * step, "outcomes": outcomes})
+    folder.write_json(folder.result, {"tasks": {}, "seed": 0})
+    found = record(run)
+    assert found["episodes_to"]["0.95"] == {"click-it": 200, "press-it": None}  # 48 of the last 50, at step 20
+    assert found["env_steps_to"]["0.99"] == {"click-it": 400, "press-it": None}
+    assert found["curve"][8]["success"] == {"click-it": None, "press-it": None}
+    assert found["curve"][-1]["success"] == {"click-it": 1.0, "press-it": 0.0}
+
+
+def test_curves_are_drawn(tmp_path: Path) -> None:
+    draw_successes(tmp_path / "it.png", [made("a", 0, [1]), made("a", 1, [0]), made("b", 0, [1])])
+    assert (tmp_path / "it.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("name", sorted(STUDIES))
+def test_every_study_is_made_of_settings_that_exist_and_has_its_command(name: str, tmp_path: Path) -> None:
+    study = STUDIES[name]
+    for demos in (None, tmp_path):
+        runs = plan(base_settings(study, demos), study.variants, [0], tmp_path)
+        assert len({run.folder for run in runs}) == len(study.variants)
+        assert all(run.config.evaluate.episodes == study.pages for run in runs)
+    assert name in {command.name for command in commands()}
