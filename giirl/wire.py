@@ -65,11 +65,14 @@ def encode(header: Mapping[str, object], arrays: Mapping[str, Column] | None = N
         raise ValueError(f"a header needs a kind, got {header.get('kind')!r}")
     layout, frames = [], []
     for name, array in (arrays or {}).items():
-        stored = array if array.dtype.str in DTYPES else array.astype(array.dtype.newbyteorder("<"))
-        if stored.dtype.str not in DTYPES:
-            raise ValueError(f"column {name!r} is of type {array.dtype}, wanted one of {sorted(DTYPES)}")
-        layout.append([name, stored.dtype.str, array.shape])
-        frames.append(stored.tobytes())
+        dtype = array.dtype.str
+        if dtype not in DTYPES:
+            array = array.astype(array.dtype.newbyteorder("<"))
+            dtype = array.dtype.str
+            if dtype not in DTYPES:
+                raise ValueError(f"column {name!r} is of type {array.dtype}, wanted one of {sorted(DTYPES)}")
+        layout.append((name, dtype, array.shape))
+        frames.append(array.tobytes())
     try:
         body = msgpack.packb([dict(header), layout], use_bin_type=True, unicode_errors="surrogatepass")
     except (TypeError, OverflowError) as error:
