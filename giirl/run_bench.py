@@ -5,6 +5,7 @@ Contenders follow each other in every round and figures are medians over rounds:
 
 from __future__ import annotations
 
+import os
 import statistics
 import time
 from collections.abc import Callable
@@ -184,6 +185,7 @@ def _ray_peer() -> Any:
     """Ray on this machine, and an actor of it that takes and answers."""
     from giirl.run_ray import RayPlatform
 
+    os.environ.setdefault("RAY_worker_niceness", "0")  # Ray takes 15, which alone decides on a busy machine
     platform = RayPlatform(load_config(None, ["runtime=local", "actors.count=1"]), "bench")
     try:
         peer: Process = platform.start("echo", "echo", 0)
