@@ -1,4 +1,4 @@
-"""The `giirl bench` commands: what is fast, measured here and now. The measuring itself lives in benchmarks/."""
+"""The `giirl bench` commands: what is fast and what it costs, measured beside what it replaces."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help
 
 @click.group()
 def bench() -> None:
-    """Measure how fast things are on this machine."""
+    """Measure how fast things are, beside what they replace, on this machine."""
 
 
 @bench.command()
@@ -51,6 +51,47 @@ def farm(tasks: tuple[str, ...], rounds: int, seconds: float, json_file: Path | 
     for name, value in found["memory"].items():
         click.echo(f"{name}: {value}")
     save(json_file, found)
+
+
+@bench.command()
+@JSON
+def wire(json_file: Path | None) -> None:
+    """Encode and decode an episode of 100 KB, against memcpy."""
+    measure("wire", json_file)
+
+
+@bench.command()
+@JSON
+def scoring(json_file: Path | None) -> None:
+    """Round trips of a scoring request, transport alone, against Ray's actor calls."""
+    measure("scoring", json_file)
+
+
+@bench.command()
+@JSON
+def ingest(json_file: Path | None) -> None:
+    """Episodes of 100 KB into the learner's queue, against Ray's actor calls and its object store."""
+    measure("ingest", json_file)
+
+
+@bench.command()
+@JSON
+def scale(json_file: Path | None) -> None:
+    """The learner's cost per trajectory at 1,000 simulated actors, against 10."""
+    measure("scale", json_file)
+
+
+def measure(name: str, json_file: Path | None) -> None:
+    """Run one benchmark; show and save what it found under its name."""
+    from giirl.run_bench import BENCHES
+
+    writable(json_file)
+    display = Display()
+    with display.busy(f"measuring {name}"):
+        found: dict[str, Any] = BENCHES[name]()
+    for key, value in found.items():
+        display.say(f"{name}.{key} = {value}")
+    save(json_file, {name: found})
 
 
 def save(json_file: Path | None, found: dict[str, Any]) -> None:

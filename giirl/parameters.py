@@ -53,11 +53,16 @@ def seal_optimiser(optimiser: torch.optim.Optimizer) -> bytes:
 
 
 def load_optimiser(optimiser: torch.optim.Optimizer, blob: bytes) -> None:
-    """The inverse, for an optimiser of the same parameters."""
+    """The inverse; ValueError when the moments are of parameters of other shapes."""
     moments: dict[int, dict[str, torch.Tensor]] = {}
     for key, tensor in safetensors.torch.load(blob).items():
         index, name = key.split(".", 1)
         moments.setdefault(int(index), {})[name] = tensor
     state = optimiser.state_dict()
+    shapes = [parameter.shape for group in optimiser.param_groups for parameter in group["params"]]
+    for number, parts in moments.items():
+        for part, tensor in parts.items():
+            if tensor.ndim and tensor.shape != shapes[number]:
+                raise ValueError(f"{part} of parameter {number} has shape {tensor.shape}, wanted {shapes[number]}")
     state["state"] = moments
     optimiser.load_state_dict(state)

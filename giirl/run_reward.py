@@ -60,7 +60,7 @@ def serve_reward(config: Config, reward: Weights, port: int, tell: Callable[[str
     stop = Event()
     with stopping(stop):
         tell(service.address)
-        service.serve_forever(stop)
+        service.serve(stop.is_set)
 
 
 def _row(episode: Episode, rewards: Sequence[float]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from giirl.config import Config
@@ -114,7 +115,13 @@ class Learner:
         (folder / "learner.json").write_text(json.dumps(state, indent=2))
 
     def load(self, folder: Path) -> None:
-        """The inverse of `save`; ValueError when the checkpoint is of other nets."""
+        """The inverse of `save`; ValueError when the checkpoint is of other nets, or of no learner at all."""
+        try:
+            self._load(folder)
+        except (LookupError, TypeError, AttributeError, OverflowError, RuntimeError, SafetensorError) as error:
+            raise ValueError(f"{folder} is no checkpoint of such a learner: {error!r:.200}") from error
+
+    def _load(self, folder: Path) -> None:
         state: dict[str, Any] = json.loads((folder / "learner.json").read_text())
         for name, net in self._nets().items():
             load_net(net, Weights.seal(state["version"], (folder / f"{name}.safetensors").read_bytes()))

@@ -19,7 +19,7 @@ from giirl.cli import giirl
 from giirl.config_file import load_config
 from giirl.reward import build_reward
 from giirl.run import reward_of_run
-from giirl.scoring import ScoreClient
+from giirl.score_client import ScoreClient
 from giirl.wire import read_episodes, write_episodes
 from tests.learning.samples import expert_episodes
 from tests.run.small import run
@@ -72,7 +72,7 @@ def test_every_step_of_every_episode_of_a_file_is_scored(finished: Path, tmp_pat
 def test_a_served_reward_answers_until_it_is_told_to_stop(finished: Path) -> None:
     trajectories = [episode.trajectory for episode in read_episodes(finished / "demonstrations.giirl")]
     with serving(finished) as (process, address):
-        client = ScoreClient(address, identity="test", timeout_s=10.0)
+        client = ScoreClient([address], identity="test", timeout_s=10.0)
         try:
             rewards, version = client.score(trajectories)
         finally:
