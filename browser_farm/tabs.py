@@ -146,9 +146,32 @@ class Tabs:
                 failures[tab] = Failure(cause="navigated", words=words)
         return failures
 
-    def screenshot(self, tab: int, width: int, height: int) -> bytes | Failure:
-        """The upper left corner of a page as PNG. The tab is shown meanwhile: Chrome draws no other."""
-        clip = {"x": 0, "y": 0, "width": width, "height": height, "scale": 1}
+    def input(self, wanted: Mapping[int, Sequence[tuple[str, Json]]]) -> dict[int, Failure]:
+        """Send each tab its events in order, all tabs at the same time; only those that failed are in the answer."""
+        deadline = time.monotonic() + self._call_timeout_s
+        calls = {
+            tab: {self._tools.send(self._tab(tab).session, method, params) for method, params in events}
+            for tab, events in wanted.items()
+        }
+
+        def given_up() -> set[int]:
+            return {call for tab, mine in calls.items() if self.has_crashed(tab) for call in mine}
+
+        replies = self._tools.receive(set().union(*calls.values()), deadline=deadline, given_up=given_up)
+        late = [tab for tab, mine in calls.items() if not mine <= replies.keys()]
+        if any(not self.has_crashed(tab) for tab in late):
+            self._interrupt(late)
+        return {tab: Failure(cause="tab_crashed") if self.has_crashed(tab) else self._hung() for tab in late}
+
+    def _interrupt(self, tabs: Sequence[int]) -> None:
+        """Stop the scripts of the processes that these tabs live in; BrowserGone when Chrome is silent altogether."""
+        self._check_alive()
+        for hub in {id(hub): hub for hub in map(self._hub, tabs)}.values():
+            hub.interrupt(timeout_s=self._call_timeout_s)
+
+    def screenshot(self, tab: int, box: tuple[float, float, float, float], scale: float) -> bytes | Failure:
+        """A part of a page as PNG. The tab is shown meanwhile: Chrome draws no other."""
+        clip = dict(zip(("x", "y", "width", "height"), box, strict=True)) | {"scale": scale}
         shot = {"format": "png", "clip": clip, "optimizeForSpeed": True}
         reply = self._call_all("Page.bringToFront", {tab: {}})[tab]
         if not isinstance(reply, Failure):
@@ -228,9 +251,7 @@ class Tabs:
                 answers[tab] = self._hung()
         hung = [tab for tab, answer in answers.items() if isinstance(answer, Failure) and answer.cause == "page_hung"]
         if hung:
-            self._check_alive()
-            for hub in {id(hub): hub for hub in map(self._hub, hung)}.values():
-                hub.interrupt(timeout_s=self._call_timeout_s)
+            self._interrupt(hung)
         return answers
 
     def _hung(self) -> Failure:

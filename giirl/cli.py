@@ -14,8 +14,10 @@ from rich.table import Column, Table
 
 from giirl.cli_bench import bench
 from giirl.cli_demos import demos, writable
+from giirl.cli_report import report
 from giirl.cli_reproduce import reproduce
 from giirl.cli_reproduce_web import commands
+from giirl.cli_reward import reward
 from giirl.config import Config
 from giirl.config_file import changed, dump_config, load_config
 from giirl.doctor import checks
@@ -65,6 +67,7 @@ def train(
     seed=1 tasks='["click-button"]' policy.entropy=0.2 run=runs/mine.
     """
     from giirl.run import Stopped, train
+    from giirl.run_browser import check_tasks
     from giirl.run_evaluate import result_table
     from giirl.run_grid import grid_table, train_grid
     from learner.checkpoint import latest_checkpoint
@@ -109,6 +112,7 @@ def evaluate(run: Path, overrides: tuple[str, ...], json_file: Path | None) -> N
     import time
 
     from giirl.metrics import Metrics
+    from giirl.run_browser import check_tasks
     from giirl.run_evaluate import evaluate, result_table
     from learner.checkpoint import latest_checkpoint
 
@@ -132,51 +136,13 @@ def evaluate(run: Path, overrides: tuple[str, ...], json_file: Path | None) -> N
     Display().table(result_table(result))
 
 
-@giirl.group()
-def reward() -> None:
-    """The learned reward on its own."""
-
-
-@reward.command()
-@RUN
-@click.option("--task", default="click-button", show_default=True, help="A task whose goal quotes a button.")
-@click.option("--pages", default=500, show_default=True, type=click.IntRange(1), help="Fresh pages.")
-@JSON
-def toggle(run: Path, task: str, pages: int, json_file: Path | None) -> None:
-    """How often the reward ranks the goal's button first, and after the goal names another, that one."""
-    from giirl.metrics import Metrics
-    from giirl.run import reward_of_run
-    from giirl.run_toggle import toggle
-
-    writable(json_file)
-    folder, _ = RunFolder.open(run)
-    config = load_config(folder.config_file, [f'tasks=["{task}"]'])
-    check_tasks(config)
-    result = toggle(config, reward_of_run(run), task, pages, Metrics(), Display())
-    for path in _some(json_file):
-        folder.write_json(path, result)
-    Display().say(
-        f"{task}, {pages} fresh pages: own goal first {100 * result['own_goal_top1']:.1f} %, "
-        f"after swapping the goal {100 * result['swapped_goal_top1']:.1f} %"
-    )
-
-
 giirl.add_command(bench)
 giirl.add_command(demos)
 giirl.add_command(reproduce)
+giirl.add_command(report)
+giirl.add_command(reward)
 for study in commands():
     reproduce.add_command(study)
-
-
-def check_tasks(config: Config) -> None:
-    """Every task of the config exists; ValueError naming the nearest otherwise."""
-    from browser_farm import fake, miniwob
-
-    for task in config.tasks:
-        if config.browser == "fake":
-            fake.check_task(task)
-        else:
-            miniwob.page_url(task)
 
 
 def _prolonged(folder: RunFolder, config: Config, path: Path | None, changes: list[str]) -> Config:

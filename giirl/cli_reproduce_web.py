@@ -14,7 +14,7 @@ from rich.table import Column, Table
 from giirl.cli_demos import writable
 from giirl.files import whole_file
 from giirl.progress import Display
-from giirl.web_studies import STUDIES, Study, base_settings
+from giirl.run_web import STUDIES, Study, base_settings
 
 ROOT = Path("runs/studies")
 

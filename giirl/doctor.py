@@ -31,6 +31,7 @@ REINSTALL = "make install"
 PACKAGES = (
     ("click", "click"),
     ("gymnasium", "gymnasium"),
+    ("jinja2", "jinja2"),
     ("matplotlib", "matplotlib"),
     ("miniwob", "miniwob"),
     ("msgpack", "msgpack"),

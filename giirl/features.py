@@ -207,9 +207,20 @@ def collate(rows: Sequence[Features]) -> Batch:
 
 def collate_actions(actions: Sequence[Action]) -> ActionBatch:
     """One action for each of B pages."""
-    table = np.array([(a.verb, a.element, a.start, a.end) for a in actions], dtype=np.int64).reshape(-1, 4)
-    verb, element, start, end = torch.from_numpy(table).T.unsqueeze(2).contiguous()
+    verb, element, start, end = _table(actions).unsqueeze(2)
     return ActionBatch(verb=verb, element=element, start=start, end=end)
+
+
+def collate_choices(actions: Sequence[Action]) -> ActionBatch:
+    """M actions on one page."""
+    verb, element, start, end = _table(actions).unsqueeze(1)
+    return ActionBatch(verb=verb, element=element, start=start, end=end)
+
+
+def _table(actions: Sequence[Action]) -> Tensor:
+    """[4, B]: verb, element, start, end."""
+    table = np.array([(a.verb, a.element, a.start, a.end) for a in actions], dtype=np.int64).reshape(-1, 4)
+    return torch.from_numpy(table).T.contiguous()
 
 
 def rename(batch: Batch, actions: ActionBatch, chance: float, jitter: float, noise: torch.Generator) -> Batch:

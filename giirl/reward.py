@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from giirl.config import Config
-from giirl.features import collate, collate_actions, featurise
+from giirl.features import collate, collate_actions, collate_choices, featurise
 from giirl.language import Vectors, load_vectors
 from giirl.models import Policy, RewardNet
 from giirl.parameters import load_net
@@ -64,6 +64,13 @@ class RewardModel:
     def score_pairs(self, pages: Sequence[Page], actions: Sequence[Action], goals: Sequence[Goal]) -> Tensor:
         """[B] rewards of B (page, action, goal) triples."""
         return reward_of(self._logits(pages, actions, goals), self.form, self.clip)
+
+    @torch.no_grad()
+    def score_actions(self, page: Page, goal: Goal, actions: Sequence[Action]) -> NDArray[np.float32]:
+        """[M] rewards of M actions on one page, which is read once."""
+        self.net.eval()
+        logits = self.net(collate([featurise(page, goal, self.vectors)]), collate_choices(actions))
+        return reward_of(logits.squeeze(0), self.form, self.clip).numpy()
 
     def score(self, trajectories: Sequence[Trajectory]) -> list[NDArray[np.float32]]:
         """For each trajectory its [T] rewards."""

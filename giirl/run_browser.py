@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from browser_farm import fake, miniwob
 from browser_farm.fake import FakeFarm
 from browser_farm.farm import ChromeFarm
 from giirl.config import Config
@@ -19,3 +20,12 @@ def open_browser(config: Config, metrics: Metrics) -> Browser:
         launch_timeout_s=config.actors.launch_timeout_s,
         on_restart=lambda cause: metrics.browser_restarts.labels(cause).inc(),
     )
+
+
+def check_tasks(config: Config) -> None:
+    """Every task of the config exists; ValueError naming the nearest otherwise."""
+    for task in config.tasks:
+        if config.browser == "fake":
+            fake.check_task(task)
+        else:
+            miniwob.page_url(task)

@@ -11,7 +11,8 @@ from giirl.metrics import Metrics
 from giirl.progress import Display
 from giirl.reward import RewardModel, build_reward
 from giirl.run_browser import open_browser
-from giirl.spec import Action, EpisodeSpec, Goal, Observation, Page, Purpose, Verb, Weights, page_seed
+from giirl.spec import Action, EpisodeSpec, Goal, Page, Purpose, Verb, Weights, page_seed
+from giirl.swaps import renamed
 
 BARREN_PAGES = 200  # without a single one that can be asked about
 
@@ -22,8 +23,7 @@ def toggle(
     """How often the reward ranks the goal's own button first, and after naming another, that one.
 
     Pages are fresh, and have at least two buttons that read differently; which other one is named is drawn by
-    the page's seed. The instruction's quoted text names the button; a tie counts as wrong. Buttons that read
-    alike are one.
+    the page's seed. A tie counts as wrong. Buttons that read alike are one.
     """
     model = build_reward(config, reward)
     browser = open_browser(config, metrics)
@@ -38,30 +38,18 @@ def toggle(
                 }
                 index += browser.tabs
                 if index > BARREN_PAGES and not seen:
-                    raise ValueError(f"{task} has no page of {index} with two buttons and one quoted in its goal")
+                    raise ValueError(f"{task} has no page of {index} with two buttons and one named in its goal")
                 for shown in browser.reset(batch).values():
-                    found = _pair(shown)
+                    found = renamed(shown, "button")
                     if found is None or seen == pages:
                         continue
-                    wanted, other = found
-                    swap = Goal(shown.goal.utterance.replace(f'"{wanted}"', f'"{other}"'))
-                    own += _best(model, shown.page, shown.goal) == wanted
-                    swapped += _best(model, shown.page, swap) == other
+                    own += _best(model, shown.page, shown.goal) == found.wanted
+                    swapped += _best(model, shown.page, found.goal) == found.other
                     seen += 1
                     job.advance()
     finally:
         browser.close()
     return {"own_goal_top1": own / pages, "swapped_goal_top1": swapped / pages, "pages": pages, "task": task}
-
-
-def _pair(seen: Observation) -> tuple[str, str] | None:
-    """The button the goal names, and another one; None when the page has no such two."""
-    page, named = seen.page, seen.goal.utterance.split('"')
-    labels = list(dict.fromkeys(text for tag, text in zip(page.tag, page.text, strict=True) if tag == "button"))
-    if len(named) != 3 or named[1] not in labels or len(labels) < 2:
-        return None
-    others = [label for label in labels if label != named[1]]
-    return named[1], others[np.random.default_rng(seen.episode.seed).integers(len(others))]
 
 
 def _best(model: RewardModel, page: Page, goal: Goal) -> str:

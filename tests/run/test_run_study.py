@@ -13,7 +13,7 @@ from giirl.figures import draw_successes
 from giirl.progress import Display
 from giirl.run_folder import RunFolder
 from giirl.run_study import Variant, plan, pooled, record, run_all
-from giirl.web_studies import STUDIES, base_settings
+from giirl.run_web import STUDIES, base_settings
 from tests.run.small import SETTINGS
 
 VARIANTS = (
