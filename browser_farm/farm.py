@@ -191,12 +191,8 @@ class ChromeFarm:
         able = {tab: c for tab, c in commands.items() if self._shown[tab].episode and not self._shown[tab].lost}
         sent: set[int] = set()
         try:
-            wanted: dict[int, list[trusted_input.Event]] = {}
-            for tab, where in self._tabs.ask({tab: pages.aim_call(c) for tab, c in able.items()}).items():
-                if isinstance(where, list):
-                    x, y, end_x, end_y = map(float, where)
-                    aim = trusted_input.Aim(x=x, y=y, end_x=end_x, end_y=end_y)
-                    wanted[tab] = trusted_input.events(able[tab], aim)
+            aims = self._tabs.ask({tab: pages.aim_call(command) for tab, command in able.items()})
+            wanted = {tab: trusted_input.events(able[tab], aim) for tab, aim in aims.items() if isinstance(aim, list)}
             for tab, failure in self._tabs.input(wanted).items():
                 self._shown[tab].lost = failure.cause
                 self._mend(tab, failure, attempt=0)

@@ -29,9 +29,10 @@ class Aim:
     end_y: float
 
 
-def events(command: Command, aim: Aim) -> list[Event]:
-    """What a person's hands would do."""
-    return list(_events(command, aim))
+def events(command: Command, where: list[Any]) -> list[Event]:
+    """What a person's hands would do, from where the page says it begins to where it ends."""
+    x, y, end_x, end_y = map(float, where)
+    return list(_events(command, Aim(x=x, y=y, end_x=end_x, end_y=end_y)))
 
 
 def _events(command: Command, aim: Aim) -> Iterator[Event]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from browser_farm.trusted import Aim, events
+from browser_farm.trusted import events
 from giirl.spec import Command, Observation, Verb
 from tests.farm.real_farm import Farm
 from tests.farm.test_gestures import SOLVED, Move, on, play, press, row, show
@@ -49,7 +49,7 @@ def test_what_no_mouse_can_reach_is_done_by_script_all_the_same(farm: Farm) -> N
 
 
 def test_a_chord_holds_its_keys_down_around_the_last_one() -> None:
-    aim = Aim(x=1.0, y=2.0, end_x=3.0, end_y=4.0)
+    aim = [1.0, 2.0, 3.0, 4.0]
     pressed = events(Command(verb=Verb.PRESS, text="Control+c"), aim)
     assert [(params["type"], params["key"]) for _, params in pressed] == [
         ("rawKeyDown", "Control"),
