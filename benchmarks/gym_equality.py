@@ -184,13 +184,14 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=5, help="at most, an episode")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--hand", action="store_true", help="also what goes by coordinates and keys")
+    parser.add_argument("--trusted", action="store_true", help="ours acts through Chrome's own input too")
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
     tasks = asked.task or registered()
     reference = Reference()
     seeds = range(asked.first_seed, asked.first_seed + asked.episodes)
     results: dict[str, dict[str, Tally]] = {}
-    ours = MiniWoB("click-test")
+    ours = MiniWoB("click-test", trusted=asked.trusted)
     for task in tasks:
         results[task] = {}
         move(ours, task)
