@@ -12,6 +12,7 @@ from typing import Any, Never
 import click
 from rich.table import Column, Table
 
+from giirl.cli_bench import bench
 from giirl.cli_demos import demos, writable
 from giirl.cli_report import report
 from giirl.cli_reproduce import reproduce
@@ -139,6 +140,7 @@ def evaluate(run: Path, overrides: tuple[str, ...], json_file: Path | None) -> N
     Display().table(grid_table(result) if config.world == "gridcraft" else result_table(result))
 
 
+giirl.add_command(bench)
 giirl.add_command(demos)
 giirl.add_command(reproduce)
 giirl.add_command(report)

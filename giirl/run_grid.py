@@ -237,10 +237,15 @@ def grid_table(result: dict[str, Any]) -> Table:
 
 def draw_rewards(path: Path, config: Config, learner: GridLearner, layout: Layout, pairs: Sequence[Pair]) -> None:
     """The true map, and the state-mean learned reward under each sentence: figure 4.3 of the thesis."""
+    draw_maps(path, layout, reward_panels(config, learner, layout, pairs))
+
+
+def reward_panels(config: Config, learner: GridLearner, layout: Layout, pairs: Sequence[Pair]) -> list[Panel]:
+    """The state-mean learned reward on a layout under each sentence."""
     world = build_world([layout])
     panels = []
     for pair in pairs:
         score = np.full(layout.cells.shape, np.nan)
         score[tuple(world.position.T)] = state_mean(learned_tables(config, learner, world, pair).reward)
         panels.append(Panel(title=plain_sentence(pair), values=score))
-    draw_maps(path, layout, panels)
+    return panels
