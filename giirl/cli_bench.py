@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -60,4 +61,6 @@ def measure(name: str, json_file: Path | None) -> None:
         display.say(f"{name}.{key} = {value}")
     if json_file is not None:
         with whole_file(json_file) as file:
-            file.write((json.dumps({name: found}, indent=2) + "\n").encode())
+            file.write(
+                (json.dumps({name: found, "load_average": round(os.getloadavg()[0], 1)}, indent=2) + "\n").encode()
+            )
