@@ -1,6 +1,6 @@
 """Plays the miniwob package's environment and ours side by side, and compares every field of every observation.
 
-    python benchmarks/gym_equality.py [--task NAME ...] [--episodes 5] [--steps 5] [--json FILE]
+    python -m benchmarks.gym_equality [--task NAME ...] [--episodes 5] [--steps 5] [--json FILE]
 
 Same seeds, same actions, drawn from the page that both show. The package's page is loaded anew for each episode, as
 ours is where it matters. An episode ends at its first difference, since what follows would differ anyway.
@@ -210,7 +210,7 @@ def main() -> None:
 def summary(results: dict[str, dict[str, Tally]]) -> dict[str, Any]:
     """Counts for each task, and which tasks were equal throughout."""
     return {
-        "command": " ".join(["python", *sys.argv]),
+        "command": " ".join(["python -m benchmarks.gym_equality", *sys.argv[1:]]),
         "python": platform.python_version(),
         "equal": {
             name: sum(name in each and not each[name].differences for each in results.values())

@@ -13,7 +13,7 @@ const recorder = (() => {
   const { setTimeout, Date } = window;  // a person's time, before the page's own takes their place
 
   let steps = [];
-  let down = null;    // where the mouse button went down: {page, target, x, y, dragged, places}
+  let down = null;    // where the mouse button went down: {page, target, x, y, places, size, dragged, chosen}
   let typing = null;  // the field that is being typed into: {page, field, before, keys, click}
   let relayed = null; // the click that a label may pass on, or the key that may become a click; gone with the next task
 
@@ -60,13 +60,15 @@ const recorder = (() => {
     return found;
   }
 
+  const sizeOf = ({ offsetWidth, offsetHeight }) => `${offsetWidth} ${offsetHeight}`;
+
   function onMouseDown(event) {
     if (event.button !== 0) return;
     endTyping();
     const { target, clientX: x, clientY: y } = event;
     const select = target.closest && target.closest('select');
     down = {
-      ...step(CLICK, target, { x, y }), target, places: places(target), dragged: false,
+      ...step(CLICK, target, { x, y }), target, places: places(target), size: sizeOf(target), dragged: false,
       chosen: select ? new Set(select.selectedOptions) : null,
     };
   }
@@ -75,6 +77,7 @@ const recorder = (() => {
     if (down === null || Math.hypot(event.clientX - down.x, event.clientY - down.y) <= DRAG_PX) return;
     const { page, ref, x, y, target } = down;
     if (target.closest && target.closest('select')) return;
+    if (takesText(target) && sizeOf(target) === down.size) return;  // selects what will be copied or typed over
     down.dragged = true;
     const moved = down.places.find(([node, left, top]) => node.scrollLeft !== left || node.scrollTop !== top);
     if (moved) {

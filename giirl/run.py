@@ -23,10 +23,10 @@ from giirl.run_demos import gather
 from giirl.run_evaluate import evaluate
 from giirl.run_folder import RunFolder
 from giirl.run_serial import SerialRuntime
-from giirl.run_stopping import stopping
 from giirl.run_workers import WorkersRuntime
 from giirl.spec import Episode, Trajectory, Weights
 from giirl.statistics import lowest_window
+from giirl.stopping import Stopped, raise_if, stopping
 from learner.algorithms import ALGORITHMS
 from learner.checkpoint import latest_checkpoint, save_checkpoint
 from learner.learner import Learner
@@ -34,10 +34,6 @@ from learner.learner import Learner
 COUNTS = "counts.json"  # of a checkpoint
 REWARDING = ("giirl", "frozen")  # algorithms that end with a learned reward
 WINDOW = 100  # training episodes in a row, for the lowest success of a run's last third
-
-
-class Stopped(Exception):
-    """The run was asked to end before it was done; what it had is saved."""
 
 
 class Runtime(Protocol):
@@ -142,7 +138,7 @@ class Session:
             self._display.say(f"success is that of the last {WINDOW} episodes of {', '.join(config.tasks)}")
             with self._display.job("training", config.iterations, learner.version) as self._job:
                 ALGORITHMS[config.algorithm](config, learner, self, self._steps(), self._observe)
-            _raise_if(self._stop)
+            raise_if(self._stop)
         except Stopped:
             self._runtime.drain()
             self._save()
@@ -179,7 +175,7 @@ class Session:
 
     def _steps(self) -> Iterator[int]:
         for step in range(self._learner.version, self._config.iterations):
-            _raise_if(self._stop)
+            raise_if(self._stop)
             self._learner.anneal(step)
             yield step
 
@@ -276,8 +272,3 @@ def open_runtime(
 
     platform = RayPlatform(config, folder.path.name)
     return WorkersRuntime(config, folder, platform, metrics, stop, resume, save)
-
-
-def _raise_if(stop: Event) -> None:
-    if stop.is_set():
-        raise Stopped

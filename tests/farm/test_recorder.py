@@ -130,6 +130,22 @@ def test_a_drag_says_from_where_and_how_far(recorder: Recorder) -> None:
 
 
 @pytest.mark.chrome
+def test_what_is_selected_to_be_typed_over_is_no_drag(recorder: Recorder) -> None:
+    def play(hand: Hand, goal: str) -> None:
+        hand.click("#tt")
+        hand.type("wrong")
+        x, y = hand.find("#tt")
+        hand.drag((x + 50, y), (-110.0, 0.0))
+        hand.type("Jerald")
+        hand.click("button")
+
+    episode = recorded(recorder, "enter-text", play)
+    assert [verb for verb, _, _ in told(episode)] == ["TYPE", "TYPE", "CLICK"]
+    assert told(episode)[1] == ("TYPE", "input_text", "Jerald")
+    assert episode.outcome.success
+
+
+@pytest.mark.chrome
 def test_a_text_area_that_is_scrolled_is_scrolled_once(recorder: Recorder) -> None:
     def play(hand: Hand, goal: str) -> None:
         for _ in range(8):

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM, while a run has something to save."""
+"""How a run is asked to end before it is done: politely once, and then not."""
 
 from __future__ import annotations
 
@@ -7,6 +7,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Event
 from types import FrameType
+
+
+class Stopped(Exception):
+    """The run was asked to end before it was done; what it had is saved."""
 
 
 @contextmanager
@@ -24,3 +28,9 @@ def stopping(stop: Event) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def raise_if(stop: Event) -> None:
+    """Stopped, where somebody asked for it."""
+    if stop.is_set():
+        raise Stopped
