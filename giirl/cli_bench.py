@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +92,7 @@ def measure(name: str, json_file: Path | None) -> None:
         found: dict[str, Any] = BENCHES[name]()
     for key, value in found.items():
         display.say(f"{name}.{key} = {value}")
-    save(json_file, {name: found})
+    save(json_file, {name: found, "load_average": round(os.getloadavg()[0], 1)})
 
 
 def save(json_file: Path | None, found: dict[str, Any]) -> None:
