@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
-from types import FrameType
 from typing import Any, Protocol
 
 import numpy as np
@@ -26,16 +23,13 @@ from giirl.run_folder import RunFolder
 from giirl.run_serial import SerialRuntime
 from giirl.spec import Episode, Trajectory, Weights
 from giirl.statistics import lowest_window
+from giirl.stopping import Stopped, raise_if, stopping
 from learner.algorithms import ALGORITHMS
 from learner.checkpoint import latest_checkpoint, save_checkpoint
 from learner.learner import Learner
 
 REWARDING = ("giirl", "frozen")  # algorithms that end with a learned reward
 WINDOW = 100  # training episodes in a row, for the lowest success of a run's last third
-
-
-class Stopped(Exception):
-    """The run was asked to end before it was done; what it had is saved."""
 
 
 class Runtime(Protocol):
@@ -136,7 +130,7 @@ class Session:
             self._display.say(f"success is that of the last {WINDOW} episodes of {', '.join(config.tasks)}")
             with self._display.job("training", config.iterations, learner.version) as self._job:
                 ALGORITHMS[config.algorithm](config, learner, self, self._steps(), self._observe)
-            _raise_if(self._stop)
+            raise_if(self._stop)
         except Stopped:
             self._save()
             raise
@@ -170,7 +164,7 @@ class Session:
 
     def _steps(self) -> Iterator[int]:
         for step in range(self._learner.version, self._config.iterations):
-            _raise_if(self._stop)
+            raise_if(self._stop)
             self._learner.anneal(step)
             yield step
 
@@ -247,25 +241,3 @@ def open_runtime(config: Config, metrics: Metrics, run: str, stop: Event, resume
     from giirl.run_ray import RayRuntime
 
     return RayRuntime(config, metrics, run, stop, resume)
-
-
-@contextmanager
-def stopping(stop: Event) -> Iterator[None]:
-    """While this lasts Ctrl-C and SIGTERM ask politely; the second time they interrupt."""
-
-    def ask(number: int, frame: FrameType | None) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
-
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _raise_if(stop: Event) -> None:
-    if stop.is_set():
-        raise Stopped

@@ -12,8 +12,8 @@ from rich.table import Table
 
 from giirl.config import Config
 from giirl.reward import build_reward
-from giirl.run import stopping
 from giirl.spec import Episode, Weights
+from giirl.stopping import stopping
 from giirl.wire import read_episodes
 from reward_service.service import RewardService
 
