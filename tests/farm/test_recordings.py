@@ -226,6 +226,7 @@ def test_the_public_recordings_do_what_their_instructions_ask_in_every_file() ->
 
 @PUBLIC
 @pytest.mark.slow
+@pytest.mark.timeout(300)
 def test_nine_of_ten_recordings_of_the_second_collection_come_out_clean_and_none_is_unaccounted_for() -> None:
     root = Path(os.environ["GIIRL_DEMOS"])
     found = find_recordings(root, collections=["2017-10-16_second-turk"])
