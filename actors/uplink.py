@@ -1,19 +1,21 @@
-"""Brings finished episodes to the learner, paced by its credits, and keeps them until it has them safe."""
+"""Brings finished episodes to the learner, paced by its credits, and keeps each until a checkpoint covers it."""
 
 from __future__ import annotations
 
 import logging
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from actors.tally import Replaced, Tally
 from giirl import delivery, wire
-from giirl.delivery import Grant
+from giirl.delivery import Grant, Notice
 from giirl.spec import Episode
 from giirl.transport import Dealer, Keys
 from giirl.wire import Stamp, WireError
 
 LOG = logging.getLogger(__name__)
 WAIT_S = 0.02
+RECONNECT_S = 0.02  # before looking again whether there is a connection
 
 
 class Refused(RuntimeError):
@@ -25,28 +27,24 @@ class UplinkLimits:
     """How much is kept, and how patiently."""
 
     pause_at: int = 8  # episodes not yet judged by the learner: then the actor should stop playing
-    max_unjudged: int = 256  # what those still in play may add to that; more is an error
-    max_kept: int = 512  # judged episodes kept until committed; more, and the oldest are forgotten
-    resend_s: float = 3.0  # an episode sent so long ago and not judged was lost on the way
+    max_kept_bytes: int = 64 << 20  # of copies that no checkpoint covers yet: then, too
     beat_s: float = 1.0
     hello_s: float = 0.5  # between attempts to be known
 
     def __post_init__(self) -> None:
-        if not 1 <= self.pause_at <= self.max_unjudged or self.max_kept < 0:
-            raise ValueError(f"{self} cannot work: wanted 1 <= pause_at <= max_unjudged and max_kept from 0")
-        if min(self.resend_s, self.beat_s, self.hello_s) <= 0:
-            raise ValueError(f"{self} cannot work: wanted times above 0")
+        if self.pause_at < 1 or self.max_kept_bytes < 1 or min(self.beat_s, self.hello_s) <= 0:
+            raise ValueError(f"{self} cannot work: wanted numbers from 1 and times above 0")
 
 
 @dataclass(slots=True, kw_only=True)
 class _Copy:
     frames: list[bytes]
-    sent_s: float | None = None  # None: not on its way
-    judged: bool = False
+    size: int
+    after: int | None = None  # the last notice before it was sent; None: not on its way
 
 
 class Uplink:
-    """One actor's line to the learner. Nothing here waits, except `flush`; belongs to one thread."""
+    """One actor's line to the learner. Nothing here waits, except `flush` and `settle`; belongs to one thread."""
 
     def __init__(
         self,
@@ -55,34 +53,36 @@ class Uplink:
         run: str,
         actor: str,
         incarnation: int,
+        tally: Tally,
         limits: UplinkLimits | None = None,
         keys: Keys | None = None,
     ) -> None:
         self._stamp = Stamp(run=run, actor=actor, incarnation=incarnation, sequence=0)
+        self._tally, self._keys = tally, keys
         self._limits = limits or UplinkLimits()
-        self._dealer = Dealer(address, identity=f"{actor}#{incarnation}".encode(), keys=keys)
-        self._kept: dict[int, _Copy] = {}  # in order of sequence
-        self._next = 0
-        self._known = False  # the learner has answered our last hello
-        self._limit = 0
-        self._heard_s = time.monotonic()
-        self._due_s = 0.0  # of the next hello or beat
-        self.forgotten = 0  # episodes given up before they were committed
+        self._waiting: dict[int, _Copy] = {}  # not judged yet, in order of sequence
+        self._judged: dict[int, _Copy] = {}  # judged, but in no checkpoint
+        self._kept_bytes = 0
+        self._committed = 0
+        self._finished = 0
+        self._notices = 0
+        self._leaving = False
+        self._connect(address)
 
     @property
     def ready(self) -> bool:
         """Whether to go on playing."""
-        return self.unjudged < self._limits.pause_at
+        return self.unjudged < self._limits.pause_at and self._kept_bytes < self._limits.max_kept_bytes
 
     @property
     def unjudged(self) -> int:
         """Episodes the learner has not yet taken in or dropped."""
-        return sum(not copy.judged for copy in self._kept.values())
+        return len(self._waiting)
 
     @property
     def kept(self) -> int:
         """Episodes the learner may still ask for again."""
-        return len(self._kept)
+        return len(self._waiting) + len(self._judged)
 
     @property
     def silent_for_s(self) -> float:
@@ -90,11 +90,17 @@ class Uplink:
         return time.monotonic() - self._heard_s
 
     def offer(self, episode: Episode) -> int:
-        """Take charge of an episode; returns its sequence number."""
-        if self.unjudged >= self._limits.max_unjudged:
-            raise ValueError(f"{self.unjudged} episodes wait for the learner: play only while `ready`")
-        sequence, self._next = self._next, self._next + 1
-        self._kept[sequence] = _Copy(frames=wire.encode_episode(episode, stamp=self._stamped(sequence)))
+        """Take charge of an episode; returns its sequence number. From here on it is finished, and accounted for."""
+        frames = wire.encode_episode(episode, stamp=replace(self._stamp, sequence=self._finished))
+        try:
+            sequence = self._tally.add()
+        except Replaced as error:
+            raise Refused(f"actor {self._stamp.actor!r} has nothing to finish any more: {error}") from None
+        assert sequence == self._finished
+        size = sum(map(len, frames))
+        self._waiting[sequence] = _Copy(frames=frames, size=size)
+        self._kept_bytes += size
+        self._finished += 1
         self.poll()
         return sequence
 
@@ -105,20 +111,41 @@ class Uplink:
 
     def flush(self, timeout_s: float) -> bool:
         """Wait until the learner has judged every episode; False when it has not in time."""
-        deadline_s = time.monotonic() + timeout_s
-        self._speak()
-        while self.unjudged and time.monotonic() < deadline_s:
-            self._hear(WAIT_S)
-            self._speak()
-        return not self.unjudged
+        return self._outlast(self._waiting, timeout_s)
+
+    def settle(self, timeout_s: float) -> bool:
+        """Ask for a checkpoint, and wait until it covers everything: then this actor may go for good."""
+        self._leaving = True
+        return self.flush(timeout_s) and self._outlast(self._judged, timeout_s)
+
+    def redirect(self, address: str) -> None:
+        """The learner came back elsewhere: offer it what no checkpoint covers."""
+        self._dealer.close()
+        self._connect(address)
 
     def close(self) -> None:
-        """End the connection. What has not been judged is lost: `flush` first."""
+        """Say good-bye and end the connection. What has not been judged is lost, and the learner counts it."""
+        if self._known:
+            self._tell(delivery.BYE)
         self._dealer.close()
 
-    def _stamped(self, sequence: int) -> Stamp:
-        known = self._stamp
-        return Stamp(run=known.run, actor=known.actor, incarnation=known.incarnation, sequence=sequence)
+    def _connect(self, address: str) -> None:
+        identity = f"{self._stamp.actor}#{self._stamp.incarnation}".encode()
+        self._dealer = Dealer(address, identity=identity, keys=self._keys)
+        self._heard_s = time.monotonic()
+        self._begin()
+
+    def _begin(self) -> None:
+        """This learner knows nothing of us, and we nothing of what it has judged."""
+        self._known, self._limit = False, 0
+        self._hailed = self._notices  # grants that answer earlier notices are of another learner
+        self._told_s = self._said_s = self._cut_until_s = float("-inf")
+        kept = sorted({**self._judged, **self._waiting}.items())
+        self._judged.clear()
+        self._waiting.clear()
+        for sequence, copy in kept:
+            copy.after = None
+            self._waiting[sequence] = copy
 
     def _hear(self, wait_s: float) -> None:
         while (frames := self._dealer.recv(wait_s)) is not None:
@@ -131,45 +158,72 @@ class Uplink:
                 LOG.warning("ignored a message of the learner: %s", error)
                 continue
             self._heard_s = time.monotonic()
-            if kind == delivery.REFUSED:
+            if delivery.is_refused(header, self._stamp):
                 known = self._stamp
                 raise Refused(
                     f"the learner refuses actor {known.actor!r}, incarnation {known.incarnation}, "
                     f"of run {known.run!r}: {header.get('reason')!r:.80}"
                 )
             if kind == delivery.WHO and self._known:
-                self._known, self._limit, self._due_s = False, 0, 0.0
-                for copy in self._kept.values():
-                    copy.sent_s = None  # what went to the learner before this one is lost
-            if grant is not None and grant.incarnation == self._stamp.incarnation:
+                self._begin()
+            if grant is not None and grant.incarnation == self._stamp.incarnation and grant.notice > self._hailed:
                 self._follow(grant)
 
     def _follow(self, grant: Grant) -> None:
         self._known, self._limit = True, grant.limit
-        for sequence in [sequence for sequence in self._kept if sequence < grant.committed]:
-            del self._kept[sequence]
-        judged = []
-        for sequence, copy in self._kept.items():
-            copy.judged = grant.has_judged(sequence)  # no more, where the learner went back to a checkpoint
-            if copy.judged:
-                judged.append(sequence)
-        for sequence in judged[: max(0, len(judged) - self._limits.max_kept)]:
-            del self._kept[sequence]
-            self.forgotten += 1
+        judged = set(grant.judged)
+        for sequence, copy in list(self._waiting.items()):
+            if sequence < grant.floor or sequence in judged:
+                self._judged[sequence] = self._waiting.pop(sequence)
+            elif copy.after is not None and copy.after < grant.notice:
+                copy.after = None  # said after it and heard before it: it was lost, or came above the limit
+        if grant.committed > self._committed:
+            self._committed = grant.committed
+            for sequence in [sequence for sequence in self._judged if sequence < grant.committed]:
+                self._kept_bytes -= self._judged.pop(sequence).size
+        try:
+            self._tally.settle(grant.settled)
+        except Replaced as error:
+            raise Refused(f"actor {self._stamp.actor!r} is not wanted any more: {error}") from None
 
     def _speak(self) -> None:
         now_s = time.monotonic()
-        if now_s >= self._due_s:
-            kind = delivery.BEAT if self._known else delivery.HELLO
-            first = next(iter(self._kept), self._next)
-            if self._dealer.send(delivery.encode_notice(kind, self._stamped(first))):
-                self._due_s = now_s + (self._limits.beat_s if self._known else self._limits.hello_s)
-        for sequence, copy in self._kept.items():
+        if now_s < self._cut_until_s:
+            return
+        in_flight = any(copy.after is not None for copy in self._waiting.values())
+        if not self._known:
+            if now_s - self._told_s >= self._limits.hello_s:
+                self._tell(delivery.HELLO)
+        elif now_s - (self._told_s if in_flight else self._said_s) >= self._limits.beat_s:
+            self._tell(delivery.BEAT)
+        for sequence, copy in self._waiting.items():
             if sequence >= self._limit:
                 break
-            lost = copy.sent_s is not None and now_s - copy.sent_s >= self._limits.resend_s
-            if copy.judged or not (copy.sent_s is None or lost):
-                continue
-            if not self._dealer.send(copy.frames):
-                break
-            copy.sent_s = now_s
+            if copy.after is None:
+                if not self._dealer.send(copy.frames):
+                    break
+                copy.after, self._said_s = self._notices, now_s
+
+    def _tell(self, kind: str) -> None:
+        notice = Notice(
+            kind=kind,
+            stamp=replace(self._stamp, sequence=min([self._finished, *self._waiting, *self._judged])),
+            number=self._notices + 1,
+            finished=self._finished,
+            full=self._leaving or 2 * self._kept_bytes >= self._limits.max_kept_bytes,
+            before=self._tally.before,
+        )
+        now_s = time.monotonic()
+        if self._dealer.send(delivery.encode_notice(notice)):
+            self._notices += 1
+            self._told_s = self._said_s = now_s
+        else:
+            self._cut_until_s = now_s + RECONNECT_S
+
+    def _outlast(self, copies: dict[int, _Copy], timeout_s: float) -> bool:
+        deadline_s = time.monotonic() + timeout_s
+        self._speak()
+        while copies and time.monotonic() < deadline_s:
+            self._hear(WAIT_S)
+            self._speak()
+        return not copies

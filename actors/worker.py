@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import logging
 import queue
 import threading
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from actors.choosers import NetChooser
 from actors.rollouts import Schedule, play
 from actors.uplink import Uplink
 from giirl.metrics import Metrics, waiting
-from giirl.scoring import ScoreClient
+from giirl.score_client import ScoreClient
 from giirl.spec import UNSCORED, Browser, Episode, Weights
 
+LOG = logging.getLogger(__name__)
+UNPLAYED = -1
 PAUSE_S = 0.005  # between two looks at the sockets while the learner takes nothing
+
+
+class Orphaned(RuntimeError):
+    """There is no learner any more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,18 +30,20 @@ class WorkerLimits:
     """When an actor stops playing, and how long it stays to hand over."""
 
     step_limit: int
+    lock_step: bool = False  # play a share of pages by each version of the weights, then wait for the next
     max_scoring: int = 64  # episodes under way to the reward service; more and the actor waits for it
     flush_s: float = 2.0  # to deliver what is finished when told to stop
+    orphan_s: float = float("inf")  # without a word of the learner: then the actor gives up
 
 
 class Worker:
-    """One thread plays; `load` and `stop` may be called from others."""
+    """One thread plays; `load`, `follow`, `rejoin` and `stop` may be called from others."""
 
     def __init__(
         self,
         browser: Browser,
         chooser: NetChooser,
-        schedule: Schedule,
+        schedule: Callable[[int], Schedule],
         scorer: ScoreClient,
         uplink: Uplink,
         *,
@@ -43,23 +53,58 @@ class Worker:
         self._browser, self._chooser, self._schedule = browser, chooser, schedule
         self._scorer, self._uplink = scorer, uplink
         self._limits, self._metrics = limits, metrics
-        self._newest: queue.SimpleQueue[Weights] = queue.SimpleQueue()
+        self._orders: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._stop = threading.Event()
+        self._settle_s = 0.0
+        self._played = UNPLAYED  # in lock-step: the version whose share is played
 
     def load(self, weights: Weights) -> None:
         """Play by these from the next round on."""
-        self._newest.put(weights)
+        self._orders.put(lambda: self._load(weights))
 
-    def stop(self) -> None:
-        """Ask `run` to hand over what is finished and return."""
+    def follow(self, scorers: Sequence[str]) -> None:
+        """Have episodes scored by these from now on."""
+        self._orders.put(lambda: self._scorer.follow(scorers))
+
+    def rejoin(self, learner: str, weights: Weights) -> None:
+        """The learner came back, there: it gets what it has not saved, and its weights count from anew."""
+
+        def order() -> None:
+            self._uplink.redirect(learner)
+            self._chooser.version = self._played = UNPLAYED
+            self._load(weights)
+
+        self._orders.put(order)
+
+    def stop(self, settle_s: float) -> None:
+        """Ask `run` to hand over what is finished and return, after at most so long for a checkpoint to cover it."""
+        self._settle_s = settle_s
         self._stop.set()
 
     def run(self) -> None:
         """Play until stopped. Episodes under way are then given up; finished ones are delivered."""
+        if self._limits.lock_step:
+            while not self._stop.is_set():
+                self._played = self._chooser.version
+                self._play(self._schedule(self._played))
+                while self._chooser.version == self._played and not self._stop.is_set():
+                    self._wait("weights")
+        else:
+            self._play(self._schedule(self._chooser.version))
+        deadline_s = time.monotonic() + self._limits.flush_s
+        while self._scorer.pending and time.monotonic() < deadline_s:
+            self._tend()
+            time.sleep(PAUSE_S)
+        if self._settle_s:
+            self._uplink.settle(self._settle_s)
+        else:
+            self._uplink.flush(max(0.0, deadline_s - time.monotonic()))
+
+    def _play(self, schedule: Schedule) -> None:
         rounds = play(
             self._browser,
             self._chooser,
-            self._schedule,
+            schedule,
             step_limit=self._limits.step_limit,
             metrics=self._metrics,
         )
@@ -67,15 +112,11 @@ class Worker:
             for episode in finished:
                 self._scorer.submit(episode, episode.trajectory)
             self._tend()
-            self._pause()
-            self._take_weights()
+            if not self._limits.lock_step:
+                self._pause()
+                self._obey()
             if self._stop.is_set():
                 break
-        deadline_s = time.monotonic() + self._limits.flush_s
-        while self._scorer.pending and time.monotonic() < deadline_s:
-            self._tend()
-            time.sleep(PAUSE_S)
-        self._uplink.flush(max(0.0, deadline_s - time.monotonic()))
 
     def _tend(self) -> None:
         """Pass on what has been scored; what could not be goes unscored, and the learner scores it."""
@@ -89,6 +130,8 @@ class Worker:
                 assert episode.trajectory.reward_version == UNSCORED
             self._uplink.offer(episode)
         self._uplink.poll()
+        if self._uplink.silent_for_s > self._limits.orphan_s:
+            raise Orphaned(f"nothing was heard of the learner for {self._limits.orphan_s:.0f} s")
 
     def _pause(self) -> None:
         """Hold still while the learner, or the reward service, has more than it can take."""
@@ -101,12 +144,19 @@ class Worker:
         with waiting(self._metrics, what):
             time.sleep(PAUSE_S)
             self._tend()
+            self._obey()
 
-    def _take_weights(self) -> None:
-        """Swap to the newest weights that have come, skipping those between."""
-        newest = None
-        while not self._newest.empty():
-            newest = self._newest.get_nowait()
-        if newest is not None and newest.version > self._chooser.version:
-            self._chooser.load(newest)
-            self._metrics.policy_version.set(newest.version)
+    def _obey(self) -> None:
+        """Do what other threads asked for."""
+        while not self._orders.empty():
+            self._orders.get_nowait()()
+
+    def _load(self, weights: Weights) -> None:
+        """Swap to weights that are newer, and whole."""
+        try:
+            self._chooser.load(weights)
+        except ValueError as error:
+            self._metrics.weights_refused.labels("policy").inc()
+            LOG.warning("refused weights: %s", error)
+            return
+        self._metrics.policy_version.set(weights.version)

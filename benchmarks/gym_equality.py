@@ -1,6 +1,6 @@
 """Plays the miniwob package's environment and ours side by side, and compares every field of every observation.
 
-    python benchmarks/gym_equality.py [--task NAME ...] [--episodes 5] [--steps 5] [--json FILE]
+    python -m benchmarks.gym_equality [--task NAME ...] [--episodes 5] [--steps 5] [--json FILE]
 
 Same seeds, same actions, drawn from the page that both show. The package's page is loaded anew for each episode, as
 ours is where it matters. An episode ends at its first difference, since what follows would differ anyway.
@@ -184,13 +184,14 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=5, help="at most, an episode")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--hand", action="store_true", help="also what goes by coordinates and keys")
+    parser.add_argument("--trusted", action="store_true", help="ours acts through Chrome's own input too")
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
     tasks = asked.task or registered()
     reference = Reference()
     seeds = range(asked.first_seed, asked.first_seed + asked.episodes)
     results: dict[str, dict[str, Tally]] = {}
-    ours = MiniWoB("click-test")
+    ours = MiniWoB("click-test", trusted=asked.trusted)
     for task in tasks:
         results[task] = {}
         move(ours, task)
@@ -210,7 +211,7 @@ def main() -> None:
 def summary(results: dict[str, dict[str, Tally]]) -> dict[str, Any]:
     """Counts for each task, and which tasks were equal throughout."""
     return {
-        "command": " ".join(["python", *sys.argv]),
+        "command": " ".join(["python -m benchmarks.gym_equality", *sys.argv[1:]]),
         "python": platform.python_version(),
         "equal": {
             name: sum(name in each and not each[name].differences for each in results.values())

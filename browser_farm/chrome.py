@@ -42,6 +42,7 @@ FLAGS = (
     "--disable-prompt-on-repost",
     "--disable-quic",
     "--disable-renderer-backgrounding",
+    "--disable-smooth-scrolling",
     "--disable-sync",
     "--force-color-profile=srgb",
     "--force-device-scale-factor=1",
@@ -101,7 +102,10 @@ class Chrome:
     def __init__(self, *, headless: bool, no_sandbox: bool | None, timeout_s: float) -> None:
         binary = find("GIIRL_CHROME", CHROMES, "Chrome")
         driver = find("GIIRL_CHROMEDRIVER", DRIVERS, "chromedriver")
-        self.directory = Path(tempfile.mkdtemp(prefix="giirl-chrome-", dir=_short_directory()))
+        try:
+            self.directory = Path(tempfile.mkdtemp(prefix="giirl-chrome-", dir=_short_directory()))
+        except OSError as error:
+            raise LaunchFailed(f"no folder for Chrome in {_short_directory()}: {error.strerror}") from error
         self._service: Service | None = None
         self._connection: RemoteConnection | None = None
         self._reaper = reaper.Reaper(self.directory)
@@ -112,6 +116,9 @@ class Chrome:
             hub = self.directory / "hub.html"
             hub.write_text("<!DOCTYPE html>", encoding="utf-8")
             self.hub_url = hub.as_uri()
+        except OSError as error:
+            self.end()
+            raise LaunchFailed(f"Chrome cannot use its folder {self.directory}: {error.strerror}") from error
         except BaseException:
             self.end()
             raise

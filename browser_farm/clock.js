@@ -10,7 +10,8 @@ const clock = (() => {
   const DRAIN_MS = 60000;     // how much is left over from an episode at most
   const MAX_CALLS = 5000;     // in one advance: a page may set timers for ever
 
-  const native = { setTimeout: window.setTimeout.bind(window), Date: window.Date };
+  const native = { Date: window.Date };
+  for (const name of ['setTimeout', 'requestAnimationFrame']) native[name] = window[name].bind(window);
   const timers = new Map();   // id -> {due, call, every}
   let now = 0, begun = 0, nextId = 1, frameMs = FRAME_MS;
 

@@ -44,6 +44,7 @@ class MiniWoB(gymnasium.Env[Observed, Wanted]):
         data_mode: str = "train",
         record_screenshots: bool = False,
         root_dom: bool = True,  # False leaves the tree of DOMElement out of `info`, and saves its making
+        trusted: bool = False,  # coordinates and keys through Chrome's own input, as the package sends them: slower
         call_timeout_s: float = 10.0,
     ) -> None:
         self.render_mode = checked_render_mode(render_mode, self.metadata["render_modes"])
@@ -54,7 +55,9 @@ class MiniWoB(gymnasium.Env[Observed, Wanted]):
         self._tree = root_dom
         self._place = Place(self.package)
         self._ending: tuple[float, bool, bool, dict[str, Any]] | None = None
-        self._farm = ChromeFarm(tabs=1, view=ELEMENTS, headless=render_mode != "human", call_timeout_s=call_timeout_s)
+        self._farm = ChromeFarm(
+            tabs=1, view=ELEMENTS, headless=render_mode != "human", trusted=trusted, call_timeout_s=call_timeout_s
+        )
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from browser_farm import pages
+from browser_farm import trusted as trusted_input
 from browser_farm.devtools import BrowserGone
 from browser_farm.miniwob import needs_fresh_document, page_url
 from browser_farm.tabs import Failure, Tabs
-from giirl.spec import Command, EpisodeSpec, Goal, Observation, StepResult
+from giirl.spec import Command, EpisodeSpec, Goal, Observation, StepResult, Verb
 
 OPEN_ATTEMPTS = 4  # as the tab is, in a mended tab, in another tab, in another Chrome
 
@@ -54,6 +55,7 @@ class ChromeFarm:
         headless: bool = True,
         no_sandbox: bool | None = None,  # None: only as root, where Chrome refuses to run otherwise
         view: pages.View = pages.ROWS,
+        trusted: bool = False,  # act through Chrome's own mouse and keyboard instead of DOM events
         on_restart: Callable[[str], None] = _tell_nobody,
     ) -> None:
         if tabs < 1:
@@ -62,13 +64,14 @@ class ChromeFarm:
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"ChromeFarm.{name} is {value}: wanted a number of seconds above 0")
         self.tabs = tabs
-        self._view = view
+        self._view = replace(view, emulation=(*view.emulation, *trusted_input.EMULATION)) if trusted else view
+        self._trusted = trusted
         self._on_restart = on_restart
         self._shown = [Shown() for _ in range(tabs)]
         self._closed = False
         self._tabs = Tabs(
             tabs,
-            view=view,
+            view=self._view,
             call_timeout_s=call_timeout_s,
             launch_timeout_s=launch_timeout_s,
             headless=headless,
@@ -102,14 +105,17 @@ class ChromeFarm:
     def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]:
         self._check(commands)
         calls: dict[int, pages.Json] = {}
+        for command in commands.values():
+            if command.following is not None:
+                page_url(command.following.task)
+        done_by_hand = self._use_hands(commands) if self._trusted else set()
         for tab, command in commands.items():
             shown = self._shown[tab]
             if shown.episode is None:
                 raise ValueError(f"tab {tab} shows no episode: reset it before it steps")
-            if command.following is not None:
-                page_url(command.following.task)
             if not shown.lost:
-                calls[tab] = pages.step_call(command, shown.episode.task)
+                acts = replace(command, verb=Verb.WAIT) if tab in done_by_hand else command
+                calls[tab] = pages.step_call(acts, shown.episode.task)
         answers = self._ask(calls)
         results: dict[int, StepResult] = {}
         opening: dict[int, EpisodeSpec] = {}
@@ -165,6 +171,8 @@ class ChromeFarm:
     def _ask(self, calls: Mapping[int, pages.Json]) -> dict[int, pages.Answer]:
         """Answers of the pages; a tab without one has been marked lost and mended."""
         answers: dict[int, pages.Answer] = {}
+        if not calls:
+            return answers
         try:
             for tab, outcome in self._tabs.ask(calls).items():
                 answer = _read(outcome, self._view)
@@ -177,6 +185,24 @@ class ChromeFarm:
             self._relaunch()
             return {}
         return answers
+
+    def _use_hands(self, commands: Mapping[int, Command]) -> set[int]:
+        """Do what a mouse and a keyboard can do; the tabs where that was all of it."""
+        able = {tab: c for tab, c in commands.items() if self._shown[tab].episode and not self._shown[tab].lost}
+        sent: set[int] = set()
+        try:
+            aims = self._tabs.ask({tab: pages.aim_call(command) for tab, command in able.items()})
+            wanted = {tab: trusted_input.events(able[tab], aim) for tab, aim in aims.items() if isinstance(aim, list)}
+            for tab, failure in self._tabs.input(wanted).items():
+                self._shown[tab].lost = failure.cause
+                self._mend(tab, failure, attempt=0)
+            turned = {tab: pages.DRAWN for tab in wanted if able[tab].verb is Verb.SCROLL and not self._shown[tab].lost}
+            if turned:
+                self._tabs.evaluate(turned, promised=True)
+            sent = set(wanted)
+        except BrowserGone:
+            self._relaunch()
+        return sent
 
     def _advance(self, tab: int, command: Command, answer: pages.Answer | None) -> StepResult:
         """Note what the tab shows now; the result lacks an observation where the farm has to open one."""
@@ -228,7 +254,7 @@ class ChromeFarm:
         }
         failures = self._tabs.navigate(urls) if urls else {}
         calls = {tab: pages.start_call(episode) for tab, episode in missing.items() if tab not in failures}
-        for tab, outcome in self._tabs.ask(calls).items():
+        for tab, outcome in self._tabs.ask(calls, opening=True).items():
             answer = _read(outcome, self._view)
             if isinstance(answer, Failure):
                 failures[tab] = answer

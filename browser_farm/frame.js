@@ -18,8 +18,21 @@ const frame = (() => {
     if (link && !/^(#|javascript:)/i.test(link.getAttribute('href'))) event.preventDefault();
   });
 
+  let turned = false;  // the wheel, by a trusted input
+  window.addEventListener('wheel', (event) => { turned ||= event.isTrusted; }, { capture: true, passive: true });
+
+  let aimed = null;  // where time stood when a trusted input was aimed
+
+  // Where the events of an action have to go; nothing where it has no place or only a script can do it.
+  function aim([verb, ref, text, x, y, dx, dy, to]) {
+    aimed = clock.mark();
+    turned = false;
+    return gestures.aim({ verb, node: view.nodeOf(ref), at: { x, y }, by: { x: dx, y: dy }, to: view.nodeOf(to) });
+  }
+
   function act([verb, ref, text, x, y, dx, dy, to]) {
-    const mark = clock.mark();
+    const mark = aimed === null ? clock.mark() : aimed;
+    aimed = null;
     gestures.act({
       verb, text, node: view.nodeOf(ref), at: { x, y }, by: { x: dx, y: dy }, to: view.nodeOf(to),
     });
@@ -40,6 +53,6 @@ const frame = (() => {
     clock.restart();
   }
 
-  return { act, calm, forget, walk: view.walk, clock };
+  return { act, aim, turned: () => turned, calm, forget, walk: view.walk, clock };
 })();
 Object.defineProperty(window, 'giirlFrame', { value: frame });

@@ -36,7 +36,9 @@ const gestures = (() => {
 
   function focusNear(element) {
     for (let node = element; node && node !== document.body; node = node.parentElement) {
-      if (node.focus) node.focus({ preventScroll: true });
+      // Asking Chrome whether an element takes the focus costs a layout: ask only those that may.
+      if (node.tabIndex < 0 && !node.hasAttribute('tabindex') && !node.isContentEditable) continue;
+      node.focus({ preventScroll: true });
       if (document.activeElement === node) return;
     }
     if (document.activeElement && document.activeElement !== document.body) document.activeElement.blur();
@@ -170,6 +172,22 @@ const gestures = (() => {
     else if (verb <= MOUSE_UP) point(verb, element, at, by, end);
   }
 
+  const FORMAL = new Set(['date', 'time', 'datetime-local', 'month', 'week', 'color', 'range']);
+
+  // Where a mouse has to go for an action, brought into sight; null where no mouse or keyboard can do it.
+  function aim({ verb, node, at, by, to }) {
+    const element = elementOf(node), end = elementOf(to);
+    if (element === undefined || end === undefined || verb === ACTIVATE || verb > ACTIVATE) return null;
+    if ((element && !element.isConnected) || (end && !end.isConnected)) return null;
+    // The list of a select is no part of the page, and what a date field wants typed depends on the country.
+    if (element instanceof HTMLOptionElement) return null;
+    if (element && FORMAL.has(element.type) && (verb === TYPE || verb === APPEND)) return null;
+    for (const one of [element, end]) if (one) one.scrollIntoView({ block: 'nearest', inline: 'nearest', behavior: 'instant' });
+    const from = middle(element, at);
+    const goal = end ? middle(end, by) : { x: from.x + by.x, y: from.y + by.y };
+    return [from.x, from.y, goal.x, goal.y];
+  }
+
   function point(verb, element, at, by, end) {
     const { x, y } = middle(element, at);
     const target = element && at.x === 0 && at.y === 0 ? element : under(x, y);
@@ -216,5 +234,5 @@ const gestures = (() => {
     getSelection().removeAllRanges();
   }
 
-  return { act, click: (element) => click(element, 0, 0), forget };
+  return { act, aim, click: (element) => click(element, 0, 0), forget };
 })();

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
@@ -12,6 +13,7 @@ from browser_farm import pages
 from browser_farm.devtools import BROWSER, DevTools, Json
 
 NUMBERS = count(1)
+Call = tuple[str, str, Json]  # session, method, parameters
 
 
 @dataclass(slots=True, kw_only=True)
@@ -36,12 +38,10 @@ class Hub:
         self._view = view
         self._timeout_s = timeout_s
         blank = {"url": "about:blank", "background": True}
-        self.page = self._attach(self._call(BROWSER, "Target.createTarget", blank)["targetId"])
+        (self.page,) = self._attach([self._call(BROWSER, "Target.createTarget", blank)["targetId"]])
         self._call(self.page.session, "Page.navigate", {"url": url})  # answers when the page is there
         self._run(pages.source("hub"))
-        self.tabs: dict[int, Tab] = {}
-        for number in numbers:
-            self.tabs[number] = self._open(number)
+        self.tabs = self._open(numbers)
 
     @property
     def crashed(self) -> bool:
@@ -79,28 +79,41 @@ class Hub:
         for tab in (*self.tabs.values(), self.page):
             self._tools.post(BROWSER, "Target.closeTarget", {"targetId": tab.target})
 
-    def _open(self, number: int) -> Tab:
-        self._run(f"hub.open({number})", gesture=True)
-        known = {tab.target for tab in self.tabs.values()}
-        for info in self._call(BROWSER, "Target.getTargets")["targetInfos"]:
-            if info.get("openerId") == self.page.target and info["targetId"] not in known:
-                tab = self._attach(info["targetId"])
-                self._call(tab.session, "Page.addScriptToEvaluateOnNewDocument", {"source": self._view.script})
-                for method, params in self._view.emulation:
-                    self._call(tab.session, method, params)
-                return tab
-        raise RuntimeError(f"tab {number} did not open")
+    def _open(self, numbers: Sequence[int]) -> dict[int, Tab]:
+        self._run(f"hub.open({json.dumps(list(numbers))})", gesture=True)
+        targets = self._call(BROWSER, "Target.getTargets")["targetInfos"]
+        opened = self._attach([info["targetId"] for info in targets if info.get("openerId") == self.page.target])
+        named = self._call_all([(tab.session, "Runtime.evaluate", {"expression": "name"}) for tab in opened])
+        tabs = {int(reply["result"]["value"]): tab for reply, tab in zip(named, opened, strict=True)}
+        if tabs.keys() != set(numbers):
+            raise RuntimeError(f"tabs {sorted(tabs)} opened, wanted {sorted(numbers)}")
+        source = ("Page.addScriptToEvaluateOnNewDocument", {"source": self._view.script})
+        self._call_all([(tab.session, *how) for tab in opened for how in (source, *self._view.emulation)])
+        return tabs
 
-    def _attach(self, target: str) -> Tab:
-        session = self._call(BROWSER, "Target.attachToTarget", {"targetId": target, "flatten": True})["sessionId"]
-        self._call(session, "Page.enable")
-        self._call(session, "Inspector.enable")
-        return Tab(target=target, session=session)
+    def _attach(self, targets: Sequence[str]) -> list[Tab]:
+        told: list[Call] = [
+            (BROWSER, "Target.attachToTarget", {"targetId": target, "flatten": True}) for target in targets
+        ]
+        sessions = [str(reply["sessionId"]) for reply in self._call_all(told)]
+        self._call_all([(session, how, {}) for session in sessions for how in ("Page.enable", "Inspector.enable")])
+        return [Tab(target=target, session=session) for target, session in zip(targets, sessions, strict=True)]
 
     def _run(self, expression: str, *, timeout_s: float | None = None, gesture: bool = False) -> str:
         params = {"expression": expression, "returnByValue": True, "userGesture": gesture}
         result = self._call(self.page.session, "Runtime.evaluate", params, timeout_s=timeout_s)
         return str(result["result"].get("value", ""))
+
+    def _call_all(self, calls: Sequence[Call]) -> list[Json]:
+        """Many calls at once, and their results in this order."""
+        started = [self._tools.send(*call) for call in calls]
+        replies = self._tools.receive(started, deadline=time.monotonic() + self._timeout_s, given_up=set)
+        for (_, method, _), call in zip(calls, started, strict=True):
+            if call not in replies:
+                raise TimeoutError(f"Chrome did not answer {method} in {self._timeout_s:g} s")
+            if replies[call].error:
+                raise RuntimeError(f"Chrome refused {method}: {replies[call].error}")
+        return [replies[call].result for call in started]
 
     def _call(self, session: str, method: str, params: Json | None = None, *, timeout_s: float | None = None) -> Json:
         return self._tools.call(session, method, params, timeout_s=timeout_s or self._timeout_s)

@@ -4,7 +4,8 @@
   if (window !== window.top) return;
 
   const FOREVER_MS = 2147483647;  // the longest a timer may wait; the step limit is the farm's
-  const IMAGES_MS = 2000;
+  const IMAGES_MS = 20000;  // what does not load fails at once: this is for a machine that is busy
+  const WHEEL_MS = 3000, FRAME_MS = 200;  // how long to wait for each
   const OPENING_MS = 100;  // of the page's time before it is first seen: what it draws, it draws with the next frame
   const WAIT = '"wait"', GONE = '"gone"';
 
@@ -99,6 +100,22 @@
     return next === null ? JSON.stringify([reward, done, null, null, ...reason]) : opened(next, reward, done, ...reason);
   }
 
+  // For trusted input: where to send it, before a step that only waits.
+  function aim(action) {
+    const site = shown();
+    return open ? JSON.stringify(site ? site.aim(action) : null) : GONE;
+  }
+
+  // Chrome hands on a turn of the wheel when it is ready to, and moves the page with one of the frames that follow.
+  async function drawn() {
+    const site = shown(), wait = (ms) => new Promise((go) => setTimeout(go, ms));
+    for (let ms = 0; ms < WHEEL_MS && site && !site.turned(); ms += 10) await wait(10);
+    for (let frame = 0; frame < 3; frame += 1) {
+      await Promise.race([new Promise((go) => clock.native.requestAnimationFrame(go)), wait(FRAME_MS)]);
+    }
+    return '';
+  }
+
   let icons = null;  // held so that they stay in memory
 
   // An icon of a style sheet has no size until it is loaded, and it loads only where it is first shown.
@@ -111,8 +128,23 @@
       }
     };
     for (const sheet of document.styleSheets) gather(sheet.cssRules, sheet.href || document.baseURI);
-    icons = [...urls].map((url) => Object.assign(new Image(), { src: url }));
-    return Promise.race([settled(icons), new Promise((go) => setTimeout(go, IMAGES_MS))]);
+    icons = [...urls].map((url) => {
+      const image = Object.assign(new Image(), { src: url }), shown = document.createElement('giirl-icon');
+      shown.style.cssText = `position: fixed; left: -9999px; content: url("${url}")`;
+      document.documentElement.append(shown);  // beside the body, where nobody looks
+      return { image, shown };
+    });
+    return Promise.race([shownIcons(), new Promise((go) => setTimeout(go, IMAGES_MS))]);
+  }
+
+  // Loaded is not yet shown: what another tab has loaded is there at once, and has its size a moment later.
+  async function shownIcons() {
+    await settled(icons.map(({ image }) => image));
+    for (const { image, shown } of icons) {
+      while (image.naturalWidth > 0 && shown.getBoundingClientRect().width === 0) {
+        await new Promise((go) => setTimeout(go, 5));
+      }
+    }
   }
 
   function begin(next) {
@@ -125,7 +157,7 @@
   }
 
   // All answers are JSON.
-  const answer = (words) => (words.length === 1 ? begin(...words) : step(...words));
+  const answer = (words) => [begin, aim, step][words.length - 1](...words);
 
-  Object.defineProperty(window, 'giirl', { value: { answer, isOpen: () => open, later: () => waited } });
+  Object.defineProperty(window, 'giirl', { value: { answer, isOpen: () => open, drawn, later: () => waited } });
 })();

@@ -20,6 +20,7 @@ TAMPERED = 2
 GONE = "gone"  # what a document without an open episode answers
 WAIT = "wait"  # the page is still loading: LATER has the answer
 LATER = "giirl.later()"
+DRAWN = "giirl.drawn()"  # once Chrome has drawn what a turn of the wheel moved
 Json = list[Any]
 SCRIPTS = ("clock", "focus", "keyboard", "gestures", "reading", "elements", "frame", "page")
 
@@ -38,8 +39,16 @@ def step_call(command: Command, task: str) -> Json:
     following = command.following
     stays = following is not None and following.task == task and not needs_fresh_document(task)
     begins = [following.seed, following.mode] if following is not None and stays else None
-    action = [int(command.verb), command.ref, command.text, *command.at, *command.by, command.to]
-    return [action, command.last, begins]
+    return [_told(command), command.last, begins]
+
+
+def aim_call(command: Command) -> Json:
+    """Ask where the input events of an action have to go."""
+    return [_told(command), True]
+
+
+def _told(command: Command) -> Json:
+    return [int(command.verb), command.ref, command.text, *command.at, *command.by, command.to]
 
 
 def decode_page(columns: list[Any]) -> Page:

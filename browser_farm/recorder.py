@@ -89,7 +89,9 @@ class Recorder:
         for failure in self._tabs.navigate({TAB: page_url(spec.task)}).values():
             raise Interrupted(f"{spec.task} does not open: {failure.cause} {failure.words}")
         self._tabs.show(TAB)
-        goal = pages.decode(self._said(self._tabs.ask({TAB: pages.start_call(spec)})[TAB]), pages.ROWS).goal
+        goal = pages.decode(
+            self._said(self._tabs.ask({TAB: pages.start_call(spec)}, opening=True)[TAB]), pages.ROWS
+        ).goal
         assert goal is not None, "a page that opens says its instruction"
         return goal
 

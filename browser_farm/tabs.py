@@ -20,6 +20,7 @@ from browser_farm.hub import Hub, Tab
 LAUNCH_ATTEMPTS = 3
 LONGEST_BACK_OFF_S = 5.0
 PROCESSES = 2  # renderers that share the tabs, so that one page computes while another is read
+OPENING = 4  # times as long as a call may take may a document take to open
 LARGEST_HUB = 16  # tabs of one renderer, which live and die together
 
 
@@ -81,22 +82,22 @@ class Tabs:
             self._chrome = None
         self._hubs.clear()
 
-    def ask(self, questions: Mapping[int, pages.Json]) -> dict[int, Any | Failure]:
+    def ask(self, questions: Mapping[int, pages.Json], *, opening: bool = False) -> dict[int, Any | Failure]:
         """Ask the pages of many tabs, and have their answers as values; a page that still loads is waited for."""
-        answers = self._ask_hubs(questions)
+        answers = self._ask_hubs(questions, OPENING if opening else 1)
         later = {tab: pages.LATER for tab, answer in answers.items() if answer == pages.WAIT}
         for tab, text in (self.evaluate(later, promised=True) if later else {}).items():
             answers[tab] = json.loads(text) if isinstance(text, str) else text
         return answers
 
-    def _ask_hubs(self, questions: Mapping[int, pages.Json]) -> dict[int, Any | Failure]:
+    def _ask_hubs(self, questions: Mapping[int, pages.Json], patience: int) -> dict[int, Any | Failure]:
         """One call for each process.
 
         A page that does not come back is interrupted; the tabs behind it in its process are asked again.
         """
         answers: dict[int, Any | Failure] = {}
         while left := {tab: words for tab, words in questions.items() if tab not in answers}:
-            deadline = time.monotonic() + self._call_timeout_s
+            deadline = time.monotonic() + patience * self._call_timeout_s
             asked: dict[int, tuple[Hub, int, list[int]]] = {}  # message -> whom, call, which of its tabs
             for hub in self._hubs:
                 if mine := {tab: words for tab, words in left.items() if tab in hub.tabs}:
@@ -130,12 +131,12 @@ class Tabs:
             tab: {"expression": expression, "returnByValue": True, "awaitPromise": promised}
             for tab, expression in expressions.items()
         }
-        replies = self._call_all("Runtime.evaluate", params)
+        replies = self._call_all("Runtime.evaluate", params, patience=OPENING if promised else 1)
         return {tab: reply if isinstance(reply, Failure) else _evaluated(reply) for tab, reply in replies.items()}
 
     def navigate(self, urls: Mapping[int, str]) -> dict[int, Failure]:
         """Show a url in each tab, all at the same time; only those that failed are in the answer."""
-        replies = self._call_all("Page.navigate", {tab: {"url": url} for tab, url in urls.items()})
+        replies = self._call_all("Page.navigate", {tab: {"url": url} for tab, url in urls.items()}, patience=OPENING)
         failures: dict[int, Failure] = {}
         for tab, reply in replies.items():
             if isinstance(reply, Failure):
@@ -144,6 +145,29 @@ class Tabs:
                 words = reply.error or str(reply.result["errorText"])
                 failures[tab] = Failure(cause="navigated", words=words)
         return failures
+
+    def input(self, wanted: Mapping[int, Sequence[tuple[str, Json]]]) -> dict[int, Failure]:
+        """Send each tab its events in order, all tabs at the same time; only those that failed are in the answer."""
+        deadline = time.monotonic() + self._call_timeout_s
+        calls = {
+            tab: {self._tools.send(self._tab(tab).session, method, params) for method, params in events}
+            for tab, events in wanted.items()
+        }
+
+        def given_up() -> set[int]:
+            return {call for tab, mine in calls.items() if self.has_crashed(tab) for call in mine}
+
+        replies = self._tools.receive(set().union(*calls.values()), deadline=deadline, given_up=given_up)
+        late = [tab for tab, mine in calls.items() if not mine <= replies.keys()]
+        if any(not self.has_crashed(tab) for tab in late):
+            self._interrupt(late)
+        return {tab: Failure(cause="tab_crashed") if self.has_crashed(tab) else self._hung() for tab in late}
+
+    def _interrupt(self, tabs: Sequence[int]) -> None:
+        """Stop the scripts of the processes that these tabs live in; BrowserGone when Chrome is silent altogether."""
+        self._check_alive()
+        for hub in {id(hub): hub for hub in map(self._hub, tabs)}.values():
+            hub.interrupt(timeout_s=self._call_timeout_s)
 
     def screenshot(self, tab: int, box: tuple[float, float, float, float], scale: float) -> bytes | Failure:
         """A part of a page as PNG. The tab is shown meanwhile: Chrome draws no other."""
@@ -184,8 +208,8 @@ class Tabs:
     def _launch_once(self) -> None:
         self.close()
         self._chrome = Chrome(headless=self._headless, no_sandbox=self._no_sandbox, timeout_s=self._launch_timeout_s)
-        url = browser_url(self._chrome.debugger_address, timeout_s=self._call_timeout_s)
-        self._devtools = DevTools(url, timeout_s=self._call_timeout_s, on_event=self._on_event)
+        url = browser_url(self._chrome.debugger_address, timeout_s=self._launch_timeout_s)
+        self._devtools = DevTools(url, timeout_s=self._launch_timeout_s, on_event=self._on_event)
         hubs = max(min(self._count, PROCESSES), math.ceil(self._count / LARGEST_HUB))
         self._hubs = [self._open_hub(range(self._count)[first::hubs]) for first in range(hubs)]
 
@@ -208,8 +232,8 @@ class Tabs:
     def _tab(self, tab: int) -> Tab:
         return self._hub(tab).tabs[tab]
 
-    def _call_all(self, method: str, params: Mapping[int, Json]) -> dict[int, Reply | Failure]:
-        deadline = time.monotonic() + self._call_timeout_s
+    def _call_all(self, method: str, params: Mapping[int, Json], *, patience: int = 1) -> dict[int, Reply | Failure]:
+        deadline = time.monotonic() + patience * self._call_timeout_s
         tools = self._tools
         calls = {tab: tools.send(self._tab(tab).session, method, each) for tab, each in params.items()}
 
@@ -227,9 +251,7 @@ class Tabs:
                 answers[tab] = self._hung()
         hung = [tab for tab, answer in answers.items() if isinstance(answer, Failure) and answer.cause == "page_hung"]
         if hung:
-            self._check_alive()
-            for hub in {id(hub): hub for hub in map(self._hub, hung)}.values():
-                hub.interrupt(timeout_s=self._call_timeout_s)
+            self._interrupt(hung)
         return answers
 
     def _hung(self) -> Failure:
@@ -237,7 +259,7 @@ class Tabs:
 
     def _check_alive(self) -> None:
         try:
-            self._tools.call(BROWSER, "Browser.getVersion", timeout_s=self._call_timeout_s)
+            self._tools.call(BROWSER, "Browser.getVersion", timeout_s=self._call_timeout_s / 2)
         except TimeoutError as error:
             raise BrowserGone(str(error)) from error
 

@@ -62,6 +62,7 @@ class MiniWoBVector(VectorEnv[Observed, Any, NDArray[Any]]):
         data_mode: str = "train",
         record_screenshots: bool = False,
         root_dom: bool = False,
+        trusted: bool = False,
         call_timeout_s: float = 10.0,
     ) -> None:
         self.render_mode = checked_render_mode(render_mode, self.metadata["render_modes"])
@@ -82,7 +83,11 @@ class MiniWoBVector(VectorEnv[Observed, Any, NDArray[Any]]):
         self._conduct = Conduct(data_mode=data_mode, record_screenshots=record_screenshots)
         self._tree = root_dom
         self._farm = ChromeFarm(
-            tabs=num_envs, view=ELEMENTS, headless=render_mode != "human", call_timeout_s=call_timeout_s
+            tabs=num_envs,
+            view=ELEMENTS,
+            headless=render_mode != "human",
+            trusted=trusted,
+            call_timeout_s=call_timeout_s,
         )
 
     def reset(

@@ -12,6 +12,8 @@ from typing import Any, Never
 import click
 from rich.table import Column, Table
 
+from giirl.cli_actors import actors
+from giirl.cli_bench import bench
 from giirl.cli_demos import demos, writable
 from giirl.cli_report import report
 from giirl.cli_reproduce import reproduce
@@ -65,10 +67,11 @@ def train(
     CONFIG is a TOML file; without one the defaults hold. Any setting can be given as key=value, for example
     seed=1 tasks='["click-button"]' policy.entropy=0.2 run=runs/mine.
     """
-    from giirl.run import Stopped, train
+    from giirl.run import train
     from giirl.run_browser import check_tasks
     from giirl.run_evaluate import result_table
     from giirl.run_grid import grid_table, train_grid
+    from giirl.stopping import Stopped
     from learner.checkpoint import latest_checkpoint
 
     display = Display()
@@ -88,7 +91,7 @@ def train(
         display.say(f"not the defaults: {' '.join(changed(settings)) or 'none'}")
     grid = settings.world == "gridcraft"
     try:
-        result = train_grid(settings, folder, display) if grid else train(settings, folder, checkpoint, display)
+        result = (train_grid if grid else train)(settings, folder, checkpoint, display)
     except Stopped:
         display.say(f"stopped and saved; to go on: giirl train --resume {folder.path}")
         sys.exit(130)
@@ -107,34 +110,39 @@ def train(
 @OVERRIDES
 @JSON
 def evaluate(run: Path, overrides: tuple[str, ...], json_file: Path | None) -> None:
-    """Greedy success of a run's policy on fresh pages, with the random floor."""
+    """Greedy success of a run's policy on fresh pages, with the random floor; or what it is worth in the grid."""
     import time
 
     from giirl.metrics import Metrics
     from giirl.run_browser import check_tasks
     from giirl.run_evaluate import evaluate, result_table
+    from giirl.run_grid import evaluate_grid, grid_table, open_run
     from learner.checkpoint import latest_checkpoint
 
     writable(json_file)
     folder, _ = RunFolder.open(run)
     config = load_config(folder.config_file, overrides)
-    check_tasks(config)
     checkpoint = latest_checkpoint(folder.checkpoints)
-    since_s = time.monotonic()
-    tasks = evaluate(config, folder.weights(checkpoint, "policy"), Metrics(), Display())
-    points = folder.points()
-    result = {
-        "tasks": tasks,
-        "env_steps": points[-1]["env_steps"] if points else 0,
-        "seconds": round(time.monotonic() - since_s, 1),
-        "algorithm": config.algorithm,
-        "seed": config.seed,
-    }
+    since_s, points = time.monotonic(), folder.points()
+    result: dict[str, Any]
+    if config.world == "gridcraft":
+        result = evaluate_grid(config, open_run(config, checkpoint))
+    else:
+        check_tasks(config)
+        result = {
+            "tasks": evaluate(config, folder.weights(checkpoint, "policy"), Metrics(), Display()),
+            "env_steps": points[-1]["env_steps"] if points else 0,
+            "algorithm": config.algorithm,
+            "seed": config.seed,
+        }
+    result["seconds"] = round(time.monotonic() - since_s, 1)
     for path in _some(json_file):
         folder.write_json(path, result)
-    Display().table(result_table(result))
+    Display().table(grid_table(result) if config.world == "gridcraft" else result_table(result))
 
 
+giirl.add_command(actors)
+giirl.add_command(bench)
 giirl.add_command(demos)
 giirl.add_command(reproduce)
 giirl.add_command(report)

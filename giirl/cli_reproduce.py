@@ -12,7 +12,7 @@ import click
 
 from giirl.cli_demos import writable
 from giirl.files import whole_file
-from giirl.grid_settings import JOINT_SEEDS, REPORT_SEEDS
+from giirl.grid_settings import ABLATION_SEEDS, JOINT_SEEDS, REPORT_SEEDS
 from giirl.progress import Display
 
 JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the numbers here.")
@@ -60,9 +60,19 @@ def figure_4_4(json_file: Path | None, out: Path, seeds: int) -> None:
 @seeds(JOINT_SEEDS)
 def gridcraft_joint(json_file: Path | None, out: Path, seeds: int) -> None:
     """Many layouts and goals at once, and what carries over to those never seen."""
-    from giirl.run_reproduce import gridcraft_joint
+    from giirl.run_joint import gridcraft_joint
 
     _run(gridcraft_joint, json_file, out, seeds)
+
+
+@reproduce.command("gridcraft-ablations")
+@JSON
+@seeds(ABLATION_SEEDS)
+def gridcraft_ablations(json_file: Path | None, seeds: int) -> None:
+    """What each part of the method is worth, and a shaped reward against the sparse one."""
+    from giirl.run_ablations import gridcraft_ablations
+
+    _run(gridcraft_ablations, json_file, FIGURES, seeds)
 
 
 def _run(study: Callable[[int, Path, Display], dict[str, Any]], json_file: Path | None, out: Path, seeds: int) -> None:
@@ -74,4 +84,4 @@ def _run(study: Callable[[int, Path, Display], dict[str, Any]], json_file: Path 
         with whole_file(json_file) as file:
             file.write(text.encode())
     click.echo(text, nl=False)
-    display.say(f"{result['figure']}, {time.monotonic() - since_s:.0f} s")
+    display.say(f"{result.get('figure', 'no figure')}, {time.monotonic() - since_s:.0f} s")

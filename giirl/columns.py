@@ -193,7 +193,9 @@ def _named(name: str, columns: Mapping[str, Column], strings: Sequence[str]) -> 
     numbers = columns[name]
     if len(numbers) and int(numbers.max()) >= len(strings):
         raise ValueError(f"column {name!r} names string {int(numbers.max())} of {len(strings)}")
-    return tuple(map(strings.__getitem__, numbers.tolist()))
+    known = np.empty(len(strings), dtype=object)
+    known[:] = strings
+    return tuple(known[numbers].tolist())
 
 
 def _unpack_pages(columns: Mapping[str, Column], strings: Sequence[str]) -> list[Page]:

@@ -9,6 +9,8 @@ from pydantic.dataclasses import dataclass
 
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
+MAX_ACTORS = 1024  # of a run: each has pages of its own
+
 Positive = Annotated[int, Field(ge=1)]
 Seconds = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -41,7 +43,7 @@ class DemosConfig:
 class ActorConfig:
     """Who plays."""
 
-    count: Positive = 1
+    count: Annotated[int, Field(ge=1, le=MAX_ACTORS)] = 1
     minimum: Positive = 1  # healthy actors below which the run gives up
     tabs: Positive = 8  # episodes an actor plays at once, all in one Chrome
     call_timeout_s: Seconds = 10.0  # deadline of one browser call
@@ -51,12 +53,19 @@ class ActorConfig:
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
+class ScoringConfig:
+    """Who tells actors what their episodes are worth."""
+
+    replicas: Annotated[int, Field(ge=1, le=64)] = 1  # of the reward service
+
+
+@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
 class StreamConfig:
     """How far ahead actors may run, and how old a trajectory may be."""
 
     credits: Annotated[int, Field(ge=1, le=256)] = 32  # trajectories an actor may have under way
-    policy_lag: Annotated[int, Field(ge=0)] = 8  # versions; older ones are dropped and counted
-    reward_lag: Annotated[int, Field(ge=0)] = 1  # versions behind the one in the making; older are computed again
+    policy_lag: Annotated[int, Field(ge=0, le=8)] = 4  # versions; older ones are dropped and counted; 0 is lock-step
+    reward_lag: Annotated[int, Field(ge=0, le=1)] = 1  # versions behind the one in the making; older are computed again
     take_timeout_s: Seconds = 120.0  # the run gives up when the actors send nothing for so long
 
 
@@ -170,7 +179,7 @@ class GridConfig:
     expert_temperature: Weight = 0.1
     chance_episodes: Positive = 100  # played by chance before learning, kept for good
     batch: Positive = 256  # steps per soft Q update
-    target_rate: Annotated[float, Field(gt=0, le=1)] = 0.05  # how fast the target net follows
+    target_rate: Annotated[float, Field(gt=0, le=1)] = 0.05  # how fast the net that acts and sets targets follows Q's
     form: Literal["plain", "airl"] = "plain"  # of the discriminator; "airl" is Fu, Luo and Levine's (2018)
     absorbing: bool = False  # whether an episode's end is a state that is judged too
     slow: Literal["time", "accuracy"] = "time"  # what lowers the discriminator's learning rate to its final rate
@@ -201,6 +210,7 @@ class Config:
     net: NetConfig = NetConfig()
     demos: DemosConfig = DemosConfig()
     actors: ActorConfig = ActorConfig()
+    scoring: ScoringConfig = ScoringConfig()
     stream: StreamConfig = StreamConfig()
     discriminator: DiscriminatorConfig = DiscriminatorConfig()
     policy: PolicyConfig = PolicyConfig()
@@ -218,3 +228,8 @@ class Config:
                 f"algorithm is {self.algorithm!r} and reward_from {self.reward_from!r}: "
                 "'frozen' goes with reward_from=RUN, and nothing else does"
             )
+
+    @property
+    def quota(self) -> int:
+        """Episodes of each task in a batch, where every task has equally many."""
+        return -(-self.rollout_batch // len(self.tasks))

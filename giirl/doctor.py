@@ -49,6 +49,7 @@ PACKAGES = (
     ("tenacity", "tenacity"),
     ("torch", "torch"),
     ("websocket-client", "websocket"),
+    ("xxhash", "xxhash"),
 )
 PAGES = tuple(f"miniwob/{task}.html" for task in ("click-test", "click-test-2", "click-button", "enter-text"))
 

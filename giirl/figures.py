@@ -98,6 +98,7 @@ def draw_returns(path: Path, env_steps: NDArray[np.int64], returns: Mapping[str,
         axis.set_title(goal, fontsize=9)
     for axis in axes[-1]:
         axis.set_xlabel("environment steps", fontsize=8)
+        axis.locator_params(axis="x", nbins=4)
     for axis in axes[:, 0]:
         axis.set_ylabel("return over optimal", fontsize=8)
     for axis in axes.flat[len(returns) :]:

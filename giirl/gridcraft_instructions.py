@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,6 +68,18 @@ def sentences(pair: Pair) -> tuple[str, ...]:
 def draw_sentence(pair: Pair, rng: np.random.Generator) -> str:
     """One of the sentences that say this pair, all alike likely."""
     return str(rng.choice(sentences(pair)))
+
+
+def rename(sentence: str, names: Mapping[str, str]) -> str:
+    """The sentence with each word for a colour exchanged for a word for the colour that `names` gives."""
+    words = {old: new for a, b in names.items() for old, new in zip(SYNONYMS[a], SYNONYMS[b], strict=True)}
+
+    def exchange(match: re.Match[str]) -> str:
+        word = match.group()
+        new = words.get(word.lower(), word.lower())
+        return new.capitalize() if word[0].isupper() else new
+
+    return re.sub(r"[A-Za-z]+", exchange, sentence)
 
 
 def _fill(form: str, goal: str, avoid: str) -> str:

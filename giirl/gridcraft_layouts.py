@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,6 +93,7 @@ def reachable_cleanly(cells: NDArray[np.int8]) -> bool:
     return bool(white.any()) and connected(white) and all((spread(cells == n) & white).any() for n in numbers)
 
 
+@functools.lru_cache(maxsize=256)
 def random_layout(
     seed: int,
     *,

@@ -41,6 +41,11 @@ class Metrics:
         self.policy_lag = self._histogram("giirl_policy_lag", "Versions a trajectory's policy is behind", LAGS)
         self.reward_lag = self._histogram("giirl_reward_lag", "Versions a trajectory's reward is behind", LAGS)
 
+        self.connections_refused = self._counter(
+            "giirl_connections_refused_total",
+            "Connections turned away, as with a wrong key or none",
+            "socket",
+        )
         self.weights_refused = self._counter(
             "giirl_weights_refused_total", "Weights that were corrupt, older or unfit", "network"
         )
@@ -64,6 +69,9 @@ class Metrics:
         self.scoring_given_up = self._counter(
             "giirl_scoring_given_up_total", "Episodes sent on unscored, since the reward service did not answer"
         )
+
+        self.workers = self._gauge("giirl_workers", "Processes that are not given up", "kind")
+        self.worker_restarts = self._counter("giirl_worker_restarts_total", "Processes that ended or hung", "kind")
 
         self.waiting_seconds = self._counter("giirl_waiting_seconds_total", "Time spent waiting", "what")
         self.waiting_now = self._gauge("giirl_waiting_now", "Threads that wait at this moment", "what")

@@ -127,16 +127,33 @@ def expected_return(world: World, pi: Array, reward: Array, *, horizon: int = HO
     return float(earned @ discount ** np.arange(horizon))
 
 
-def fraction(world: World, pi: Array, reward: Array, *, horizon: int = HORIZON, discount: float = 1.0) -> float:
-    """(return - random) / (optimal - random): 1 for the best that can be done within the horizon, 0 for chance."""
+def bounds(world: World, reward: Array, *, horizon: int = HORIZON, discount: float = 1.0) -> tuple[float, float]:
+    """The return of chance, and the most that can be had within the horizon."""
     best = solve_horizon(world, reward, discount=discount, horizon=horizon).pi
-    got, optimal, chance = (
+    chance, optimal = (
         expected_return(world, policy, reward, horizon=horizon, discount=discount)
-        for policy in (pi, best, random_policy(world))
+        for policy in (random_policy(world), best)
     )
     if optimal - chance <= TIE * float(np.abs(reward).max()):
         raise ValueError(f"chance earns {chance:.6g}, as much as anyone can, under this reward: wanted one to gain by")
-    return (got - chance) / (optimal - chance)
+    return chance, optimal
+
+
+def fraction(
+    world: World,
+    pi: Array,
+    reward: Array,
+    *,
+    horizon: int = HORIZON,
+    discount: float = 1.0,
+    known: tuple[float, float] | None = None,
+) -> float:
+    """(return - random) / (optimal - random): 1 for the best that can be done within the horizon, 0 for chance.
+
+    `known` are the `bounds`, where they are.
+    """
+    chance, optimal = known or bounds(world, reward, horizon=horizon, discount=discount)
+    return (expected_return(world, pi, reward, horizon=horizon, discount=discount) - chance) / (optimal - chance)
 
 
 def draw_paths(

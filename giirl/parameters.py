@@ -1,10 +1,11 @@
-"""Nets as bytes: safetensors, checksummed, loaded whole or not at all."""
+"""Nets and optimisers as bytes: safetensors, checksummed, loaded whole or not at all."""
 
 from __future__ import annotations
 
 import hashlib
 
 import safetensors.torch
+import torch
 from safetensors import SafetensorError
 from torch import nn
 
@@ -40,3 +41,28 @@ def hash_nets(*nets: nn.Module) -> str:
             digest.update(name.encode())
             digest.update(tensor.numpy().tobytes())
     return digest.hexdigest()
+
+
+def seal_optimiser(optimiser: torch.optim.Optimizer) -> bytes:
+    """The moments of every parameter; learning rates and the like come from the config."""
+    moments = optimiser.state_dict()["state"]
+    blob: bytes = safetensors.torch.save(
+        {f"{index}.{name}": tensor for index, parts in moments.items() for name, tensor in parts.items()}
+    )
+    return blob
+
+
+def load_optimiser(optimiser: torch.optim.Optimizer, blob: bytes) -> None:
+    """The inverse; ValueError when the moments are of parameters of other shapes."""
+    moments: dict[int, dict[str, torch.Tensor]] = {}
+    for key, tensor in safetensors.torch.load(blob).items():
+        index, name = key.split(".", 1)
+        moments.setdefault(int(index), {})[name] = tensor
+    state = optimiser.state_dict()
+    shapes = [parameter.shape for group in optimiser.param_groups for parameter in group["params"]]
+    for number, parts in moments.items():
+        for part, tensor in parts.items():
+            if tensor.ndim and tensor.shape != shapes[number]:
+                raise ValueError(f"{part} of parameter {number} has shape {tensor.shape}, wanted {shapes[number]}")
+    state["state"] = moments
+    optimiser.load_state_dict(state)

@@ -124,8 +124,10 @@ def _returns(result: Result) -> TableView:
         (goal, f"{own['return_over_optimal']:.3f}", f"{own['reoptimised_over_optimal']:.3f}")
         for goal, own in result["goals"].items()
     )
-    head = ("instruction", "the policy", "re-optimised on the reward alone")
-    return TableView(caption="Return; 1 is optimal, 0 chance", head=head, rows=rows)
+    head = ("instruction", "the policy", "re-optimised")
+    return TableView(
+        caption="Return; 1 is optimal, 0 chance. Re-optimised: on the learned reward alone", head=head, rows=rows
+    )
 
 
 def result_lines(config: Config, result: Result | None) -> list[str]:

@@ -10,8 +10,9 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from giirl import charts
-from giirl.judged import Frame, Judged, Scale, Strip, element_name, ranked
+from giirl.judged import Frame, Judged, Scale, Strip, Valued, element_name, ranked
 from giirl.shots import MOST_LABELS, Shot, draw_shot, number
+from giirl.spec import Goal, Verb
 
 OWN, OTHER = "its own instruction", "another instruction"
 
@@ -106,7 +107,13 @@ def _half(where: str, frame: Frame, whose: str, judged: Judged, scale: Scale) ->
     )
 
 
+def _cell(one: Valued, goal: Goal) -> str:
+    """A reward, and the words that earn it where typing them does."""
+    words = f"“{one.action.text(goal)}” " if one.action.verb is Verb.TYPE else ""
+    return words + number(one.reward)
+
+
 def _rows(frame: Frame, judged: Sequence[Judged]) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    columns = [{one.action.element: number(one.reward) for one in each.best} for each in judged]
+    columns = [{one.action.element: _cell(one, each.goal) for one in each.best} for each in judged]
     rows = [one.action.element for one in ranked(frame.own.best)]
     return tuple((element_name(frame.page, row), tuple(column[row] for column in columns)) for row in rows)

@@ -87,12 +87,12 @@ def ranks(x: Array) -> Array:
     return rank
 
 
-def value_correlation(world: World, learned: Array, true: Array, discount: float = DISCOUNT) -> Correlation:
-    """State-mean learned reward against the optimal value V* of the true one: is the reward shaped?
+def value_correlation(world: World, learned: Array, value: Array) -> Correlation:
+    """State-mean learned reward against the optimal value V* [S] of the true one: is the reward shaped?
 
     The thesis's claim behind figure 4.3, as a number. The sparse reward itself does not reach 1, V* does.
     """
-    score, value = state_mean(expected_reward(world, learned)), solve(world, true, discount=discount).v
+    score = state_mean(expected_reward(world, learned))
     return Correlation(spearman=spearman(score, value), pearson=pearson(score, value))
 
 
@@ -139,13 +139,16 @@ def goal_sensitivity(right: Array, wrong: Array) -> float:
     return auc(right, wrong)
 
 
-def paired_goal_sensitivity(right: Array, wrong: Array) -> float:
-    """The share of expert pairs whose r(s,a|g) [N] is above their own r(s,a|g') [N, G]; equal counts half.
+def paired_goal_sensitivity(right: Array, wrong: Array, weight: Array | None = None) -> float:
+    """The share of expert pairs whose r(s,a|g) [...] is above their own r(s,a|g') [..., G]; equal counts half.
 
     What `goal_sensitivity` asks without comparing different (s, a), so a sum b(s,a) + c(g) cannot pass for reading.
+    `weight` [...] says how often the expert does each pair, where that is not alike.
     """
-    own = right[:, None] if wrong.ndim == 2 else right
-    return float(((own > wrong) + 0.5 * (own == wrong)).mean())
+    own = right[..., None] if wrong.ndim > right.ndim else right
+    above = (own > wrong) + 0.5 * (own == wrong)
+    mean = above.mean(axis=-1) if wrong.ndim > right.ndim else above
+    return float(np.average(mean, weights=weight))
 
 
 def avoid_rank(world: World, score: Array, pair: Pair) -> float:

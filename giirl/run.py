@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import signal
+import json
 import time
 from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
-from types import FrameType
 from typing import Any, Protocol
 
 import numpy as np
 import torch
 
 from giirl.config import Config
+from giirl.config_file import dump_config
 from giirl.goals import is_held_out
 from giirl.metrics import Metrics, write_targets
 from giirl.progress import Display, Job
@@ -24,18 +23,17 @@ from giirl.run_demos import gather
 from giirl.run_evaluate import evaluate
 from giirl.run_folder import RunFolder
 from giirl.run_serial import SerialRuntime
+from giirl.run_workers import WorkersRuntime
 from giirl.spec import Episode, Trajectory, Weights
 from giirl.statistics import lowest_window
+from giirl.stopping import Stopped, raise_if, stopping
 from learner.algorithms import ALGORITHMS
 from learner.checkpoint import latest_checkpoint, save_checkpoint
 from learner.learner import Learner
 
+COUNTS = "counts.json"  # of a checkpoint
 REWARDING = ("giirl", "frozen")  # algorithms that end with a learned reward
 WINDOW = 100  # training episodes in a row, for the lowest success of a run's last third
-
-
-class Stopped(Exception):
-    """The run was asked to end before it was done; what it had is saved."""
 
 
 class Runtime(Protocol):
@@ -50,6 +48,8 @@ class Runtime(Protocol):
     def save(self, folder: Path) -> None: ...
 
     def committed(self) -> None: ...
+
+    def drain(self) -> None: ...
 
     def close(self) -> None: ...
 
@@ -109,6 +109,7 @@ class Session:
         self._runtime: Runtime | None = None
         self._job: Job | None = None
         self._fresh: list[Episode] = []
+        self._whole = True  # nothing is half done: this may be saved
         self._targets: dict[str, str] = {}
         self._recent = {task: deque[int](maxlen=WINDOW) for task in config.tasks}
         self._since_s = time.monotonic()
@@ -120,13 +121,14 @@ class Session:
         """Go from the learner's version to `iterations`."""
         config, learner = self._config, self._learner
         self._folder.cut_curve(learner.version)
-        for point in self._folder.points():
-            self.env_steps, self.episodes = point["env_steps"], point["episodes"]
-            self.seconds_before = point["seconds"]
+        if resume is not None:
+            counts = json.loads((resume / COUNTS).read_text())
+            self.env_steps, self.episodes = counts["env_steps"], counts["episodes"]
+            self.seconds_before = counts["seconds"]
         if learner.version >= config.iterations:
             return
         with self._display.busy(f"starting the {config.runtime} runtime"):
-            self._runtime = open_runtime(config, self._metrics, self._folder.path.name, self._stop, resume)
+            self._runtime = open_runtime(config, self._folder, self._metrics, self._stop, resume, self._save_if_whole)
         try:
             with self._display.busy("starting actors and reward service"):
                 self._runtime.publish(*learner.weights())
@@ -136,12 +138,14 @@ class Session:
             self._display.say(f"success is that of the last {WINDOW} episodes of {', '.join(config.tasks)}")
             with self._display.job("training", config.iterations, learner.version) as self._job:
                 ALGORITHMS[config.algorithm](config, learner, self, self._steps(), self._observe)
-            _raise_if(self._stop)
+            raise_if(self._stop)
         except Stopped:
+            self._runtime.drain()
             self._save()
             raise
         except RuntimeError as error:
-            self._save()
+            if self._whole:
+                self._save()
             again = f"giirl train --resume {self._folder.path}"
             raise RuntimeError(f"{error}; step {learner.version} is saved, to go on: {again}") from error
         finally:
@@ -156,6 +160,7 @@ class Session:
             taken = self._runtime.take(episodes - len(self._fresh))
             if not taken:
                 raise Stopped
+            self._whole = False
             self._fresh += [e for e in taken if not is_held_out(e.trajectory.goal, self._config.held_out_goals)]
         told = self._config.algorithm == "true_reward"
         return [pay_true(episode) if told else episode.trajectory for episode in self._fresh]
@@ -170,7 +175,7 @@ class Session:
 
     def _steps(self) -> Iterator[int]:
         for step in range(self._learner.version, self._config.iterations):
-            _raise_if(self._stop)
+            raise_if(self._stop)
             self._learner.anneal(step)
             yield step
 
@@ -178,7 +183,7 @@ class Session:
         """Publish, report and, when it is due, save."""
         assert self._runtime is not None
         assert self._job is not None
-        self._learner.version = step + 1
+        self._learner.version, self._whole = step + 1, True
         self._metrics.policy_version.set(step + 1)
         self._metrics.reward_version.set(step + 1)
         self._runtime.publish(*self._learner.weights())
@@ -187,13 +192,18 @@ class Session:
         outcomes: dict[str, list[int]] = {task: [] for task in self._config.tasks}
         for episode in self._fresh:
             outcomes[episode.trajectory.task].append(int(episode.outcome.success))
-        seconds = round(self.seconds_before + time.monotonic() - self._since_s, 1)
-        counts = {"step": step + 1, "env_steps": self.env_steps, "episodes": self.episodes, "seconds": seconds}
-        self._folder.append_curve({**counts, "outcomes": outcomes, **{k: round(v, 4) for k, v in stats.items()}})
+        self._folder.append_curve(
+            {**self._counts(), "outcomes": outcomes, **{k: round(v, 4) for k, v in stats.items()}}
+        )
         self._job.advance(1, self._note(outcomes))
         self._tell_targets()
         if (step + 1) % self._config.checkpoint_every == 0 or step + 1 == self._config.iterations:
             self._save()
+
+    def _counts(self) -> dict[str, float]:
+        seconds = round(self.seconds_before + time.monotonic() - self._since_s, 1)
+        step = self._learner.version
+        return {"step": step, "env_steps": self.env_steps, "episodes": self.episodes, "seconds": seconds}
 
     def _note(self, outcomes: dict[str, list[int]]) -> str:
         """How well the policy does as it explores, task by task."""
@@ -210,9 +220,16 @@ class Session:
         def write(partial: Path) -> None:
             self._learner.save(partial)
             runtime.save(partial)
+            (partial / COUNTS).write_text(json.dumps(self._counts()))
+            (partial / self._folder.config_file.name).write_text(dump_config(self._config))
 
         save_checkpoint(self._folder.checkpoints, self._learner.version, write, keep=self._config.keep_checkpoints)
         runtime.committed()
+
+    def _save_if_whole(self) -> None:
+        """While it waits for rollouts, and has none that only this process knows."""
+        if self._whole:
+            self._save()
 
     def _tell_targets(self) -> None:
         """Write where to scrape when that has changed, and say it once."""
@@ -240,32 +257,18 @@ def pay_true(episode: Episode) -> Trajectory:
     return replace(episode.trajectory, rewards=rewards)
 
 
-def open_runtime(config: Config, metrics: Metrics, run: str, stop: Event, resume: Path | None) -> Runtime:
+def open_runtime(
+    config: Config,
+    folder: RunFolder,
+    metrics: Metrics,
+    stop: Event,
+    resume: Path | None,
+    save: Callable[[], None],
+) -> Runtime:
     """The runtime that the config names. Ray is imported only where it is used."""
     if config.runtime == "serial":
         return SerialRuntime(config, metrics, resume)
-    from giirl.run_ray import RayRuntime
+    from giirl.run_ray import RayPlatform
 
-    return RayRuntime(config, metrics, run, stop, resume)
-
-
-@contextmanager
-def stopping(stop: Event) -> Iterator[None]:
-    """While this lasts Ctrl-C and SIGTERM ask politely; the second time they interrupt."""
-
-    def ask(number: int, frame: FrameType | None) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
-
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _raise_if(stop: Event) -> None:
-    if stop.is_set():
-        raise Stopped
+    platform = RayPlatform(config, folder.path.name)
+    return WorkersRuntime(config, folder, platform, metrics, stop, resume, save)

@@ -26,6 +26,8 @@ class RunFolder:
         self.curve = path / "curve.jsonl"
         self.result = path / "result.json"
         self.targets = path / "prometheus.json"
+        self.keys = path / "keys"
+        self.wanted = path / "wanted_actors"
 
     @classmethod
     def create(cls, config: Config, name: str) -> RunFolder:
@@ -52,7 +54,7 @@ class RunFolder:
     def discard_unless_begun(self) -> None:
         """Take back `create` where a run failed before its first checkpoint: the mended command finds no folder."""
         if not self.checkpoints.exists():
-            for path in (self.config_file, self.demonstrations, self.targets):
+            for path in (self.config_file, self.demonstrations, self.targets, self.curve, self.keys):
                 path.unlink(missing_ok=True)
             if not any(self.path.iterdir()):
                 self.path.rmdir()
@@ -65,6 +67,11 @@ class RunFolder:
     def write_json(self, path: Path, result: Mapping[str, Any]) -> None:
         """A result, readable by people and programs."""
         self.write(path, json.dumps(result, indent=2) + "\n")
+
+    def wanted_actors(self) -> int:
+        """How many actors were asked for since the run began, 0 when nobody asked."""
+        text = self.wanted.read_text() if self.wanted.exists() else ""
+        return int(text) if text.isdecimal() else 0
 
     def save_demonstrations(self, episodes: list[Episode]) -> None:
         write_episodes(self.demonstrations, episodes)

@@ -13,7 +13,7 @@ from giirl.gridcraft import World, true_reward
 from giirl.oracle import fraction
 from learner.grid_nets import policy_table
 from learner.grid_steps import GridSource, Steps, chance_steps
-from learner.gridworld import GridLearner, SoftQ
+from learner.gridworld import GridLearner, GridSoftQ
 
 OPTIMAL = 0.99
 
@@ -34,7 +34,7 @@ def steps_to_optimal(
     rng = np.random.default_rng([config.seed, 1])
     goals = learner.goals.tolist()
     chance = chance_steps(world, goals, config.grid.chance_episodes, rng, None)
-    policy = SoftQ(config, learner.sight, chance, rng)
+    policy = GridSoftQ(config, learner.sight, learner.goals, chance, rng)
     source = GridSource(world, learner.sight, learner.goals, policy.net, rng)
     frozen = torch.tensor(np.stack(rewards), dtype=torch.float32)
     true = [true_reward(world, pair) for pair in learner.pairs]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
@@ -12,12 +13,13 @@ from giirl.config import Config
 from giirl.gridcraft import World, build_world, true_reward
 from giirl.gridcraft_instructions import Pair, plain_sentence
 from giirl.gridcraft_layouts import Layout
-from giirl.oracle import fraction, solve
+from giirl.oracle import bounds, fraction, solve, visits
 from giirl.reward_measures import (
     avoid_rank,
     entering_rate,
     epic_distance,
     matched_avoid_rank,
+    paired_goal_sensitivity,
     reoptimise,
     state_mean,
     value_correlation,
@@ -39,6 +41,9 @@ class Measures:
     epic: float
     avoid_rank: float  # the chance that an avoided cell scores below a neutral one
     matched_avoid_rank: float  # the same among cells equally far from the goal
+    sensitivity: (
+        float  # the share of the expert's steps that earn more than under the sentence with its colours swapped
+    )
     entered: float  # share of episodes in which the re-optimised agent enters the avoided colour
     expert_entered: float
 
@@ -63,38 +68,71 @@ def learned_tables(config: Config, learner: GridLearner, world: World, pair: Pai
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Truth:
+    """What is so in a world under a pair, whatever was learned."""
+
+    reward: NDArray[np.float64]  # [S, A]
+    value: NDArray[np.float64]  # [S] V*
+    bounds: tuple[float, float]  # the returns of chance and of the optimum
+    expert: NDArray[np.float64]  # [S, A] who gave the demonstrations
+
+
+@functools.lru_cache(maxsize=1024)
+def truth(world: World, pair: Pair, temperature: float) -> Truth:
+    """Worked out once for every world there is."""
+    reward = true_reward(world, pair)
+    return Truth(
+        reward=reward,
+        value=solve(world, reward).v,
+        bounds=bounds(world, reward),
+        expert=solve(world, reward, temperature=temperature).pi,
+    )
+
+
+@functools.lru_cache(maxsize=256)
+def world_of(layout: Layout) -> World:
+    """The layout alone as a world, the same one every time."""
+    return build_world([layout])
+
+
 def policy_fractions(config: Config, learner: GridLearner, world: World) -> list[float]:
     """The policy's return under each pair of the training, as a fraction of optimal above chance."""
     sight = Sight(world, [plain_sentence(pair) for pair in learner.pairs], learner.bag, config.grid)
+    known = [truth(world, pair, config.grid.expert_temperature) for pair in learner.pairs]
     return [
-        fraction(world, policy_table(learner.acting, sight, i), true_reward(world, pair))
-        for i, pair in enumerate(learner.pairs)
+        fraction(world, policy_table(learner.acting, sight, i), true.reward, known=true.bounds)
+        for i, true in enumerate(known)
     ]
 
 
 def measure(config: Config, learner: GridLearner, layouts: Sequence[Layout], pairs: Sequence[Pair]) -> list[Measures]:
     """Every layout with every pair, one at a time."""
-    worlds = [build_world([layout]) for layout in layouts]
-    return [_measure(config, learner, world, pair) for world in worlds for pair in pairs]
+    return [_measure(config, learner, world_of(layout), pair) for layout in layouts for pair in pairs]
 
 
 def _measure(config: Config, learner: GridLearner, world: World, pair: Pair) -> Measures:
-    true, tables = true_reward(world, pair), learned_tables(config, learner, world, pair)
+    true, tables = truth(world, pair, config.grid.expert_temperature), learned_tables(config, learner, world, pair)
+    swapped = learned_tables(config, learner, world, Pair(pair.avoid, pair.goal)).reward
     agent, score = reoptimise(world, tables.reward), state_mean(tables.reward)
-    expert = solve(world, true, temperature=config.grid.expert_temperature).pi
-    correlation = value_correlation(world, tables.reward, true)
+    policy, cloning, reoptimised = (
+        fraction(world, pi, true.reward, known=true.bounds) for pi in (tables.policy, tables.cloning, agent)
+    )
+    correlation = value_correlation(world, tables.reward, true.value)
+    steps = visits(world, true.expert).sum(axis=0)[:, None] * true.expert
     return Measures(
         pair=pair,
-        policy=fraction(world, tables.policy, true),
-        cloning=fraction(world, tables.cloning, true),
-        reoptimised=fraction(world, agent, true),
+        policy=policy,
+        cloning=cloning,
+        reoptimised=reoptimised,
         spearman=correlation.spearman,
         pearson=correlation.pearson,
-        epic=epic_distance(tables.reward, true),
+        epic=epic_distance(tables.reward, true.reward),
         avoid_rank=avoid_rank(world, score, pair),
         matched_avoid_rank=matched_avoid_rank(world, score, pair),
+        sensitivity=paired_goal_sensitivity(tables.reward, swapped, steps),
         entered=entering_rate(world, agent, pair),
-        expert_entered=entering_rate(world, expert, pair),
+        expert_entered=entering_rate(world, true.expert, pair),
     )
 
 

@@ -5,26 +5,30 @@ from __future__ import annotations
 import json
 import threading
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
+from pathlib import Path
 
 import torch
 
 from actors.choosers import NetChooser
 from actors.rollouts import Schedule
+from actors.tally import Tally
 from actors.uplink import Uplink, UplinkLimits
-from actors.worker import Worker, WorkerLimits
-from giirl.config import Config
+from actors.worker import Orphaned, Worker, WorkerLimits
+from giirl.config import MAX_ACTORS, Config
 from giirl.config_file import parse_config
 from giirl.language import load_vectors
 from giirl.metrics import Metrics
 from giirl.reward import build_policy, build_reward
 from giirl.run_browser import open_browser
-from giirl.scoring import ScoreClient
+from giirl.score_client import ScoreClient
 from giirl.spec import Purpose, Weights
 from giirl.transport import Keys
 from reward_service.service import RewardService, Scorer
 
-PORT_S = 20.0  # for a port that another process of this machine was given in the meantime
+ORPHAN_S = 900.0  # without a word of any learner
+TICK_S = 0.1
 
 
 def settle(config: str) -> Config:
@@ -34,60 +38,81 @@ def settle(config: str) -> Config:
 
 
 class ActorProcess:
-    """One Ray process that plays. `run` holds one thread until `stop`; weights come in by another."""
+    """One process that plays. `run` holds one thread until `stop`; the others are called by another."""
 
-    def __init__(self, config: str, run: str, index: int, keys: Keys | None) -> None:
+    def __init__(self, config: str, run: str, index: int, tally: str, keys: Keys | None) -> None:
         self._config = settle(config)
-        self._run, self._index, self._keys = run, index, keys
+        self._run, self._index, self._tally, self._keys = run, index, Path(tally), keys
         self._metrics = Metrics()
         self._worker: Worker | None = None
         self._newest: Weights | None = None
+        self._scorers: tuple[str, ...] = ()
         self._stopped = threading.Event()
 
-    def metrics_address(self) -> str:
-        return self._metrics.serve(self._config.metrics.host)
+    def host(self) -> str:
+        """How the other processes of the run know this machine."""
+        return "127.0.0.1"
 
-    def run(self, incarnation: int, first: int, learner: str, scorer: str, weights: Weights) -> None:
+    def leave(self) -> None:
+        """There is nobody to work for any more."""
+
+    def addresses(self) -> tuple[str, str]:
+        """Of the metrics; an actor serves nothing else."""
+        return self._metrics.serve(self._config.metrics.host), ""
+
+    def run(self, incarnation: int, first: int, learner: str, scorers: tuple[str, ...], weights: Weights) -> None:
         """Play pages from index `first` on, until stopped."""
-        config, metrics = self._config, self._metrics
+        config, metrics, name = self._config, self._metrics, f"actor-{self._index}"
         chooser = NetChooser(build_policy(config), load_vectors(config.net.vectors))
         chooser.load(weights)
-        name, count = f"actor-{self._index}", config.actors.count
         with ExitStack() as open_things:
+            tally = Tally(self._tally, incarnation)
+            open_things.callback(tally.close)
             browser = open_browser(config, metrics)
             open_things.callback(browser.close)
-            schedule = Schedule(
-                config.tasks,
-                browser.tabs,
-                purpose=Purpose.TRAIN,
-                run_seed=config.seed,
-                first=-(-first // count) * count + self._index,  # pages of this actor alone
-                stride=count,
-            )
             uplink = Uplink(
                 learner,
                 run=self._run,
                 actor=name,
                 incarnation=incarnation,
+                tally=tally,
                 limits=UplinkLimits(pause_at=config.stream.credits),
                 keys=self._keys,
             )
             open_things.callback(uplink.close)
             client = ScoreClient(
-                scorer,
+                self._scorers or scorers,
                 identity=f"{name}#{incarnation}",
                 timeout_s=config.actors.score_timeout_s,
                 keys=self._keys,
             )
             open_things.callback(client.close)
-            limits = WorkerLimits(step_limit=config.step_limit)
+            limits = WorkerLimits(
+                step_limit=config.step_limit, lock_step=config.stream.policy_lag == 0, orphan_s=ORPHAN_S
+            )
+            schedule = self._share(browser.tabs) if limits.lock_step else self._pages(browser.tabs, first)
             worker = Worker(browser, chooser, schedule, client, uplink, limits=limits, metrics=metrics)
             self._worker = worker
             if self._newest is not None:
                 worker.load(self._newest)
             if self._stopped.is_set():
-                worker.stop()
-            worker.run()
+                worker.stop(0.0)
+            try:
+                worker.run()
+            except Orphaned:
+                self.leave()
+                raise
+            finally:
+                self._worker = None
+
+    def rejoin(self, incarnation: int, first: int, learner: str, scorers: tuple[str, ...], weights: Weights) -> None:
+        """A learner came back: go on for it. Returns when `run` does, or at once when nothing runs."""
+        worker = self._worker
+        if worker is not None:
+            worker.rejoin(learner, weights)
+            self.follow(scorers)
+        while self._worker is worker is not None:
+            time.sleep(TICK_S)
 
     def load(self, weights: Weights) -> None:
         """Newer weights; those that come while the browser starts wait for it."""
@@ -95,44 +120,95 @@ class ActorProcess:
         if self._worker is not None:
             self._worker.load(weights)
 
-    def stop(self) -> None:
+    def follow(self, scorers: tuple[str, ...]) -> None:
+        """Where the reward services are now."""
+        self._scorers = scorers
+        if self._worker is not None:
+            self._worker.follow(scorers)
+
+    def stop(self, settle_s: float) -> None:
         self._stopped.set()
         if self._worker is not None:
-            self._worker.stop()
+            self._worker.stop(settle_s)
+
+    def _pages(self, tabs: int, first: int) -> Callable[[int], Schedule]:
+        """Pages that no other actor plays, for ever."""
+        return lambda version: Schedule(
+            self._config.tasks,
+            tabs,
+            purpose=Purpose.TRAIN,
+            run_seed=self._config.seed,
+            first=first * MAX_ACTORS + self._index,
+            stride=MAX_ACTORS,
+        )
+
+    def _share(self, tabs: int) -> Callable[[int], Schedule]:
+        """This actor's part of the batch that the learner takes at one version."""
+        config, count = self._config, self._config.actors.count
+        quota = config.quota
+        return lambda version: Schedule(
+            config.tasks,
+            tabs,
+            purpose=Purpose.TRAIN,
+            run_seed=config.seed,
+            first=version * quota + self._index,
+            stride=count,
+            quota=len(range(self._index, quota, count)),
+        )
 
 
 class RewardProcess:
-    """One Ray process that scores."""
+    """One process that scores."""
 
-    def __init__(self, config: str) -> None:
-        self._config = settle(config)
+    def __init__(self, config: str, keys: Keys | None) -> None:
+        self._config, self._keys = settle(config), keys
         self._metrics = Metrics()
         self._service: RewardService | None = None
         self._stopped = threading.Event()
+        self._heard_s = time.monotonic()
 
-    def metrics_address(self) -> str:
-        return self._metrics.serve(self._config.metrics.host)
+    def host(self) -> str:
+        """How the other processes of the run know this machine."""
+        return "127.0.0.1"
 
-    def open(self, host: str, port: int, keys: Keys | None) -> str:
-        """Bind; a service that was started anew takes its old port again, as soon as whoever has it lets go."""
-        deadline_s = time.monotonic() + PORT_S
-        while True:
-            try:
-                self._service = RewardService(self._scorer, host=host, port=port, keys=keys, metrics=self._metrics)
-                return self._service.address
-            except ValueError:
-                if time.monotonic() > deadline_s:
-                    raise
-                time.sleep(0.1)
+    def leave(self) -> None:
+        """There is nobody to work for any more."""
 
-    def run(self) -> None:
+    def addresses(self) -> tuple[str, str]:
+        """Of the metrics, and of the socket where episodes are scored."""
+        host = self.host() if self._keys else "127.0.0.1"
+        self._service = self._service or RewardService(self._scorer, host=host, keys=self._keys, metrics=self._metrics)
+        return self._metrics.serve(self._config.metrics.host), self._service.address
+
+    def run(self, weights: Weights) -> None:
         """Answer until stopped."""
-        assert self._service is not None
-        self._service.serve_forever(self._stopped)
+        service = self._service
+        assert service is not None
+        self.load(weights)
+        try:
+            service.serve(lambda: self._stopped.is_set() or self._orphaned)
+        finally:
+            self._service = None
+        if self._orphaned:
+            self.leave()
+
+    def rejoin(self, weights: Weights) -> None:
+        """A learner came back: its weights count from anew. Returns when `run` does, or at once when nothing runs."""
+        service = self._service
+        if service is not None:
+            self._heard_s = time.monotonic()
+            service.set_weights(weights, anew=True)
+        while self._service is service is not None:
+            time.sleep(TICK_S)
 
     def load(self, weights: Weights) -> None:
-        assert self._service is not None
-        self._service.set_weights(weights)
+        self._heard_s = time.monotonic()
+        if self._service is not None:
+            self._service.set_weights(weights)
+
+    @property
+    def _orphaned(self) -> bool:
+        return time.monotonic() - self._heard_s > ORPHAN_S
 
     def stop(self) -> None:
         self._stopped.set()

@@ -9,14 +9,16 @@ from typing import Any
 from giirl.config import Config
 from giirl.config_file import changed, dump_config
 from giirl.files import whole_file
+from giirl.heat import Maps, draw_heat
 from giirl.judged import Strip, scale_of
 from giirl.metrics import Metrics
 from giirl.progress import Display
 from giirl.report_numbers import facts_of, lead_of, learning_group, result_lines, result_tables, success_group
-from giirl.report_page import data_address, render, scale_view, strip_view
+from giirl.report_page import render, scale_view, strip_view
 from giirl.run import REWARDING
 from giirl.run_evaluate import THESIS
 from giirl.run_folder import RunFolder
+from giirl.run_grid import layouts_of, open_run, reward_panels
 from giirl.run_inspect import Inspector
 from giirl.spec import EpisodeSpec, Goal, Weights
 from learner.checkpoint import latest_checkpoint
@@ -38,7 +40,7 @@ def report(folder: RunFolder, config: Config, out: Path, pages: int, command: st
         changes=[one for one in changed(config) if not one.startswith("run=")],
         result_lines=result_lines(config, result),
         result_tables=result_tables(config, result, THESIS),
-        maps=_maps(folder),
+        maps=_maps(folder, config),
         groups=groups,
         strips=[(task, [strip_view(strip, scale) for strip in some]) for task, some in strips.items()],
         strips_words=words,
@@ -133,10 +135,10 @@ def _demonstrations(folder: RunFolder, config: Config, result: dict[str, Any] | 
     return {task: tasks.count(task) for task in config.tasks}
 
 
-def _maps(folder: RunFolder) -> dict[str, str] | None:
-    """The figure that a grid run draws."""
-    figure = folder.path / "reward.png"
-    if not figure.exists():
+def _maps(folder: RunFolder, config: Config) -> Maps | None:
+    """A grid's learned reward on the first layout, under every instruction of the training."""
+    if config.world != "gridcraft" or config.algorithm not in REWARDING or not folder.checkpoints.exists():
         return None
-    alt = "The first layout, and the learned reward of each of its cells under the first two instructions"
-    return {"data": data_address(figure.read_bytes()), "alt": alt}
+    learner = open_run(config, latest_checkpoint(folder.checkpoints)).learner
+    layout = layouts_of(config.grid)[0]
+    return draw_heat(layout, reward_panels(config, learner, layout, learner.pairs))

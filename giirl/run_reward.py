@@ -12,8 +12,8 @@ from rich.table import Table
 
 from giirl.config import Config
 from giirl.reward import build_reward
-from giirl.run import stopping
 from giirl.spec import Episode, Weights
+from giirl.stopping import stopping
 from giirl.wire import read_episodes
 from reward_service.service import RewardService
 
@@ -60,7 +60,7 @@ def serve_reward(config: Config, reward: Weights, port: int, tell: Callable[[str
     stop = Event()
     with stopping(stop):
         tell(service.address)
-        service.serve_forever(stop)
+        service.serve(stop.is_set)
 
 
 def _row(episode: Episode, rewards: Sequence[float]) -> dict[str, Any]:

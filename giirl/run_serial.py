@@ -37,7 +37,7 @@ class SerialRuntime:
 
     def take(self, episodes: int) -> list[Episode]:
         """At least `episodes`, the same number of every task, all begun and ended in this call."""
-        quota = -(-episodes // len(self._config.tasks))
+        quota = self._config.quota
         schedule = Schedule(
             self._config.tasks,
             self._browser.tabs,
@@ -74,6 +74,9 @@ class SerialRuntime:
 
     def committed(self) -> None:
         """Nothing is under way between two steps."""
+
+    def drain(self) -> None:
+        """Nobody has anything to hand over."""
 
     def close(self) -> None:
         self._browser.close()

@@ -71,6 +71,7 @@ class Shot:
     labels: tuple[Label, ...]  # of the MOST_LABELS elements with the highest rewards
     target: Box | None  # what the policy acts on, where it can be seen
     typed: str  # what it types there
+    typed_x: float  # where that is written: behind what the field holds already
     does: str  # its action, in words
     says: str  # what a reader who sees no picture is told
     sketch: tuple[tuple[Box, str], ...]  # every element and its text, where there is no picture
@@ -98,6 +99,8 @@ def draw_shot(page: Page, judged: Judged, scale: Scale) -> Shot:
     seen = [(one.reward, box) for one in ranked(judged.best) if (box := boxes[one.action.element]) is not None]
     places = place_labels([box for _, box in seen], [number(reward) for reward, _ in seen[:MOST_LABELS]], window)
     choice = judged.choice
+    target = boxes[choice.element] if choice is not None else None
+    held = choice is not None and bool(page.value[choice.element])
     return Shot(
         said=judged.goal.utterance,
         window=window,
@@ -113,8 +116,9 @@ def draw_shot(page: Page, judged: Judged, scale: Scale) -> Shot:
             Label(box=place, text=number(reward), good=reward > scale.middle, top=reward == seen[0][0])
             for (reward, _), place in zip(seen, places, strict=False)
         ),
-        target=boxes[choice.element] if choice is not None else None,
+        target=target,
         typed=choice.text(judged.goal) if choice is not None and choice.verb is Verb.TYPE else "",
+        typed_x=target.x + (0.45 * target.width if held else 4) if target is not None else 0.0,
         does=action_words(page, judged.goal, choice) if choice is not None else "nothing can be done here",
         says=_in_words(page, judged),
         sketch=tuple((box, page.text[row] or page.value[row]) for row, box in enumerate(boxes) if box is not None),

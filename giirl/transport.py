@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import ipaddress
+import os
 import socket
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
 
 import zmq
 from zmq.auth.thread import ThreadAuthenticator
@@ -15,10 +18,12 @@ from giirl.wire import MAX_BYTES
 
 HIGH_WATER = 256  # messages in each direction and connection
 LINGER_MS = 500  # how long a closing socket may still send
+BACKLOG = 4096  # connections that may be on their way in: every actor comes back at once when a learner does
+MAX_SOCKETS = 1 << 16  # of one process: whoever plays a thousand actors has as many
 HEARTBEAT_MS = 2_000
 SILENCE_MS = 15_000  # a peer that answers no heartbeat for so long is gone
 RETRY_MS = 100
-RETRY_MAX_MS = 2_000
+RETRY_MAX_MS = 1_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,6 +47,18 @@ class Keys:
         public, secret = zmq.curve_keypair()
         return cls(public=public, secret=secret)
 
+    @classmethod
+    def keep(cls, path: Path) -> Keys:
+        """Those in `path`; where there are none a fresh pair, which only its owner may read."""
+        if not path.exists():
+            made = cls.make()
+            with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+                file.write(made.public + b"\n" + made.secret + b"\n")
+        lines = path.read_bytes().split()
+        if len(lines) != 2:
+            raise ValueError(f"{path} holds {len(lines)} keys, wanted a public one and its secret")
+        return cls(public=lines[0], secret=lines[1])
+
 
 class Router:
     """The end that listens. Belongs to one thread; only `wake` may be called from others."""
@@ -54,6 +71,8 @@ class Router:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._gate = _gate(self._context, keys) if keys else None
         self._socket = _bounded(self._context, zmq.ROUTER)
+        self._socket.backlog = BACKLOG
+        self._turned_away = _Refusals(self._socket)
         self._socket.router_mandatory = True  # sending to a peer that left is an error, not a silent loss
         self._socket.router_handover = True  # a peer that comes back takes its place again
         if keys:
@@ -63,7 +82,7 @@ class Router:
         try:
             self._socket.bind(f"tcp://{host}:{port or '*'}")
         except zmq.ZMQError as error:
-            _end(self._context, self._socket, self._gate)
+            self._end()
             raise ValueError(f"cannot listen on {host}:{port}: {error}; wanted a free port, or 0") from error
         self.address = self._socket.getsockopt_string(zmq.LAST_ENDPOINT).removeprefix("tcp://")
         self._waker, self._alarm = socket.socketpair()
@@ -72,6 +91,11 @@ class Router:
         self._poller = zmq.Poller()
         self._poller.register(self._socket, zmq.POLLIN)
         self._poller.register(self._alarm.fileno(), zmq.POLLIN)
+
+    @property
+    def refusals(self) -> int:
+        """How many connections were turned away: a wrong key or none, or something else than our protocol."""
+        return self._turned_away.count()
 
     def poll(self, timeout_s: float) -> bool:
         """True when a message waits; returns early, and False, after `wake`."""
@@ -106,9 +130,16 @@ class Router:
 
     def close(self) -> None:
         """Send what can be sent at once, then let go of the port."""
-        _end(self._context, self._socket, self._gate)
+        self._end()
         self._waker.close()
         self._alarm.close()
+
+    def _end(self) -> None:
+        self._turned_away.close()
+        self._socket.close()
+        if self._gate:
+            self._gate.stop()
+        self._context.destroy(linger=LINGER_MS)
 
 
 class Dealer:
@@ -117,8 +148,7 @@ class Dealer:
     def __init__(self, address: str, *, identity: bytes, keys: Keys | None = None) -> None:
         if not 1 <= len(identity) <= 255 or identity.startswith(b"\0"):
             raise ValueError(f"identity {identity!r:.80} is no name: wanted 1 to 255 bytes, the first not 0")
-        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._socket = _bounded(self._context, zmq.DEALER)
+        self._socket = _bounded(_shared(), zmq.DEALER)
         self._socket.identity = identity
         self._socket.immediate = True  # queue nothing for a peer that is not there: the caller keeps it
         self._socket.reconnect_ivl = RETRY_MS
@@ -127,10 +157,7 @@ class Dealer:
             self._socket.curve_publickey = keys.public
             self._socket.curve_secretkey = keys.secret
             self._socket.curve_serverkey = keys.public
-        failures = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
-        failures |= zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
-        self._monitor = self._socket.get_monitor_socket(failures)
-        self._refusals = 0
+        self._turned_away = _Refusals(self._socket)
         self.address = address
         try:
             self._socket.connect(f"tcp://{address}")
@@ -141,10 +168,7 @@ class Dealer:
     @property
     def refusals(self) -> int:
         """How often the other end has turned this one away: a wrong key, or no router at all."""
-        while self._monitor.poll(0):
-            recv_monitor_message(self._monitor)
-            self._refusals += 1
-        return self._refusals
+        return self._turned_away.count()
 
     def poll(self, timeout_s: float) -> bool:
         """True when a message waits."""
@@ -166,8 +190,38 @@ class Dealer:
 
     def close(self) -> None:
         """Send what can be sent at once, then end the connection."""
-        self._socket.disable_monitor()
-        _end(self._context, self._socket, None)
+        self._turned_away.close()
+        self._socket.close()  # its linger bounds how long the process stays for what is unsent
+
+
+class _Refusals:
+    """Counts the handshakes that failed on one socket; belongs to the socket's thread."""
+
+    EVENTS = (
+        zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
+    )
+
+    def __init__(self, watched: zmq.Socket[bytes]) -> None:
+        self._watched, self._count = watched, 0
+        self._monitor = watched.get_monitor_socket(self.EVENTS)
+
+    def count(self) -> int:
+        while self._monitor.poll(0):
+            recv_monitor_message(self._monitor)
+            self._count += 1
+        return self._count
+
+    def close(self) -> None:
+        self._watched.disable_monitor()
+        self._monitor.close(linger=0)
+
+
+@cache
+def _shared() -> zmq.Context[zmq.Socket[bytes]]:
+    """One for all dealers of a process: each context has threads of its own."""
+    context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+    context.max_sockets = MAX_SOCKETS
+    return context
 
 
 def _bounded(context: zmq.Context[zmq.Socket[bytes]], kind: int) -> zmq.Socket[bytes]:
@@ -195,13 +249,6 @@ def _gate(context: zmq.Context[zmq.Socket[bytes]], keys: Keys) -> ThreadAuthenti
     gate.start()
     gate.configure_curve_callback(domain="*", credentials_provider=_Holders(keys))
     return gate
-
-
-def _end(context: zmq.Context[zmq.Socket[bytes]], last: zmq.Socket[bytes], gate: ThreadAuthenticator | None) -> None:
-    last.close()
-    if gate:
-        gate.stop()
-    context.destroy(linger=LINGER_MS)
 
 
 def _is_loopback(host: str) -> bool:

@@ -1,22 +1,29 @@
-"""Decides, without any socket, what becomes of each episode: judged once, queued if fresh, counted if not."""
+"""Decides, without any socket, what becomes of each episode: judged once, queued if fresh, counted if not.
+
+Every episode that an actor finished is, in the history that a checkpoint and its successors make, one of: TAKEN by
+the learner, queued, or dropped for one of the reasons in DROPPED. Messages dropped for other reasons are repetitions,
+or come again.
+"""
 
 from __future__ import annotations
 
 import logging
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from giirl import delivery, wire
-from giirl.columns import Columns
-from giirl.delivery import Grant
+from giirl.columns import Columns, take
 from giirl.metrics import Metrics
 from giirl.spec import DEMONSTRATION, UNSCORED, Episode
 from giirl.wire import Header, Stamp, WireError
-from learner.held import Held, Mark
+from learner.account import Account
+from learner.held import Held
 
 LOG = logging.getLogger(__name__)
+TAKEN = "taken"
+DROPPED = ("stale", "stale_queued", "invalid", "repeated", "lost")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,55 +31,23 @@ class IngestLimits:
     """How far actors may run ahead, and how far behind their policy may be."""
 
     credits: int = 4  # episodes of one actor on their way or in the queue
-    max_lag: int = 8  # versions; older episodes are dropped, on arrival and again in the queue
+    max_lag: int = 4  # versions; older episodes are dropped, on arrival and again in the queue; 0 is lock-step
+    max_bytes: int = 256 << 20  # in the queue, as they came; then nobody has credits
 
     def __post_init__(self) -> None:
-        if self.credits < 1 or self.max_lag < 0:
-            raise ValueError(f"{self} lets nothing in: wanted credits from 1 and max_lag from 0")
-
-
-@dataclass(slots=True, kw_only=True)
-class _Actor:
-    incarnation: int
-    floor: int
-    judged: set[int] = field(default_factory=set)
-    committed: int
-    queued: int = 0
-    peer: bytes | None = None  # None: known from a checkpoint alone, or not heard since a newer learner began
-    heard_s: float = 0.0
-
-    def skip_to(self, sequence: int) -> int:
-        """The actor keeps nothing below `sequence`; returns how many of those never came."""
-        below = {judged for judged in self.judged if judged < sequence}
-        missing = max(0, sequence - self.floor) - len(below)
-        self.judged -= below
-        self.floor = max(self.floor, sequence)
-        self._settle()
-        return missing
-
-    def judge(self, sequence: int) -> None:
-        self.judged.add(sequence)
-        self._settle()
-
-    def _settle(self) -> None:
-        while self.floor in self.judged:
-            self.judged.remove(self.floor)
-            self.floor += 1
-
-    def grant(self, credits_: int) -> Grant:
-        return Grant(
-            incarnation=self.incarnation,
-            floor=self.floor,
-            judged=tuple(sorted(self.judged)),
-            committed=self.committed,
-            limit=self.floor + len(self.judged) + max(0, credits_ - self.queued),
-        )
+        if self.credits < 1 or self.max_lag < 0 or self.max_bytes < 1:
+            raise ValueError(f"{self} lets nothing in: wanted credits and max_bytes from 1 and max_lag from 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Queued:
-    episode: Episode
-    owner: _Actor | None  # None: from a checkpoint
+    """An episode as it came. It becomes one of ours when it is taken, by the thread that takes it."""
+
+    header: Header
+    arrays: Columns
+    version: int  # of its policy
+    owner: Account
+    size: int
 
 
 class Admission:
@@ -93,99 +68,115 @@ class Admission:
         self._reward_version = reward_version
         self._limits = limits
         self._metrics = metrics
-        self._queue = deque(_Queued(episode=episode, owner=None) for episode in held.episodes)
-        self._taken: list[Episode] = []  # of a take that has not come to its end
+        self._queue: deque[_Queued] = deque()
+        self._bytes = 0
+        self._taken: list[Episode] = list(held.episodes)  # of a take that has not come to its end
         self._untold: set[str] = set()  # actors whose grant has changed
-        self._actors = {
-            mark.actor: _Actor(
-                incarnation=mark.incarnation,
-                floor=mark.floor,
-                judged=set(mark.judged),
-                committed=mark.floor,
-            )
-            for mark in held.marks
-        }
+        self._actors = {mark.actor: Account.resume(mark) for mark in held.marks}
+        self._counts = Counter(held.counts)
 
     @property
     def queued(self) -> int:
         return len(self._queue) + len(self._taken)
+
+    @property
+    def wants_commit(self) -> bool:
+        """Whether an actor can go on only after a checkpoint."""
+        return any(actor.wants_commit for actor in self._actors.values())
 
     def hear(self, peer: bytes, frames: list[bytes]) -> list[bytes] | None:
         """Take in one message; returns what has to be answered at once."""
         try:
             header, arrays = wire.decode(frames)
             stamp = wire.read_stamp(header)
+            notice = delivery.read_notice(header, stamp) if header["kind"] in delivery.NOTICES else None
         except WireError as error:
             LOG.warning("dropped a message of %r: %s", peer, error)
-            self._count_received("damaged")
+            self._refused("damaged")
             return None
-        kind = header["kind"]
         if stamp.run != self._run:
-            return self._refuse(kind, delivery.OTHER_RUN)
+            return self._refuse(header["kind"], delivery.OTHER_RUN, stamp)
         actor = self._actors.get(stamp.actor)
         if actor and stamp.incarnation < actor.incarnation:
-            return self._refuse(kind, delivery.FENCED)
-        if kind == delivery.HELLO:
-            actor = self._greet(stamp)
+            return self._refuse(header["kind"], delivery.FENCED, stamp)
+        if notice and notice.kind == delivery.HELLO:
+            actor = self._greet(notice)
             actor.peer = peer
         elif actor is None or stamp.incarnation > actor.incarnation or actor.peer != peer:
             return delivery.encode_who()
-        elif kind == delivery.EPISODE:
-            self._judge(actor, stamp, header, arrays)
+        elif notice is None:
+            self._judge(actor, stamp, header, arrays, sum(map(len, frames)))
+        if notice:
+            actor.note(notice)
+        if notice and notice.kind == delivery.BYE:
+            self._drop("lost", actor.skip_to(actor.finished))
+            actor.peer = None
         actor.heard_s = time.monotonic()
         self._untold.add(stamp.actor)
         return None
 
     def pull(self, episodes: int) -> list[Episode] | None:
-        """The next so many fresh episodes; None, and they stay here, while there are too few."""
+        """The next so many fresh episodes; None, and they stay here, while there are too few.
+
+        In lock-step they come in an order of their own, whoever was first, and none of them twice.
+        """
         version = self._policy_version()
-        fresh = [episode for episode in self._taken if not self._is_stale(episode, version)]
+        fresh = [e for e in self._taken if not self._is_stale(e.trajectory.policy_version, version)]
         self._drop("stale_queued", len(self._taken) - len(fresh))
         self._taken = fresh
+        pages = {_page(episode) for episode in fresh}
+        full = self._bytes >= self._limits.max_bytes
         while self._queue and len(self._taken) < episodes:
-            entry = self._queue.popleft()
-            if entry.owner:
-                entry.owner.queued -= 1
-            if self._is_stale(entry.episode, version):
-                self._drop("stale_queued")
+            episode = self._leave_queue(version)
+            if episode is None:
+                continue
+            if not self._limits.max_lag and _page(episode) in pages:
+                self._drop("repeated")
             else:
-                self._taken.append(entry.episode)
+                pages.add(_page(episode))
+                self._taken.append(episode)
+        if full and self._bytes < self._limits.max_bytes:
             self._untold.update(self._actors)
         if len(self._taken) < episodes:
             return None
         batch, self._taken = self._taken[:episodes], self._taken[episodes:]
         for episode in batch:
             self._observe(episode, version)
-        return batch
+        self._counts[TAKEN] += len(batch)
+        return batch if self._limits.max_lag else sorted(batch, key=_page)
 
     def grants(self) -> list[tuple[bytes, list[bytes]]]:
         """What has to be told to whom, once."""
         told = [self._actors[name] for name in sorted(self._untold)]
         self._untold.clear()
         return [
-            (actor.peer, delivery.encode_grant(actor.grant(self._limits.credits)))
-            for actor in told
-            if actor.peer is not None
+            (actor.peer, delivery.encode_grant(actor.grant(self._credits))) for actor in told if actor.peer is not None
         ]
 
     def snapshot(self) -> Held:
-        """Everything accepted and not yet pulled, and what has been judged."""
-        marks = tuple(
-            Mark(actor=name, incarnation=a.incarnation, floor=a.floor, judged=tuple(sorted(a.judged)))
-            for name, a in self._actors.items()
+        """Everything accepted and not yet pulled, what has been judged, and what became of it."""
+        version = self._policy_version()
+        built = [episode for _ in range(len(self._queue)) if (episode := self._leave_queue(version))]
+        self._taken += built
+        return Held(
+            episodes=tuple(self._taken),
+            marks=tuple(actor.mark() for actor in self._actors.values()),
+            counts=dict(self._counts),
         )
-        return Held(episodes=(*self._taken, *(entry.episode for entry in self._queue)), marks=marks)
 
     def commit(self, held: Held) -> None:
         """A checkpoint covers `held`: its actors may forget what it marks."""
         for mark in held.marks:
             actor = self._actors.get(mark.actor)
-            if actor and actor.incarnation == mark.incarnation:
+            if actor is None:
+                continue
+            if actor.incarnation == mark.incarnation:
                 actor.committed = max(actor.committed, mark.floor)
-                self._untold.add(mark.actor)
+            actor.settled = max(actor.settled, mark.incarnation)
+            self._untold.add(mark.actor)
 
     def silent_for_s(self, name: str) -> float:
-        """How long ago an actor was heard; infinite when it never was."""
+        """How long ago an actor was heard; infinite when it never was, or has said good-bye."""
         actor = self._actors.get(name)
         return time.monotonic() - actor.heard_s if actor and actor.peer is not None else float("inf")
 
@@ -194,38 +185,63 @@ class Admission:
         heard = [f"{name} {self.silent_for_s(name):.1f} s ago" for name in sorted(self._actors)[:8]]
         return f"{self.queued} wait; of {len(self._actors)} actors heard: {', '.join(heard) or 'none'}"
 
-    def _greet(self, stamp: Stamp) -> _Actor:
+    @property
+    def _credits(self) -> int:
+        return self._limits.credits if self._bytes < self._limits.max_bytes else 0
+
+    def _greet(self, notice: delivery.Notice) -> Account:
+        stamp = notice.stamp
         actor = self._actors.get(stamp.actor)
         if actor is None or actor.incarnation < stamp.incarnation:
-            actor = _Actor(incarnation=stamp.incarnation, floor=stamp.sequence, committed=stamp.sequence)
+            before = actor or Account(actor=stamp.actor, incarnation=-1)
+            self._drop("lost", before.succeeded_by(notice))
+            actor = Account(actor=stamp.actor, incarnation=stamp.incarnation, settled=before.settled)
             self._actors[stamp.actor] = actor
         self._drop("lost", actor.skip_to(stamp.sequence))
         return actor
 
-    def _judge(self, actor: _Actor, stamp: Stamp, header: Header, arrays: Columns) -> None:
-        if stamp.sequence < actor.floor or stamp.sequence in actor.judged:
-            return self._count_received("duplicate")
-        if stamp.sequence >= actor.grant(self._limits.credits).limit:
-            return self._count_received("over_credit")  # not judged: it will come again
+    def _judge(self, actor: Account, stamp: Stamp, header: Header, arrays: Columns, size: int) -> None:
+        if actor.has_judged(stamp.sequence):
+            return self._refused("duplicate")
+        if stamp.sequence >= actor.grant(self._credits).limit:
+            return self._refused("over_credit")  # not judged: it will come again
+        self._metrics.trajectories_received.inc()
         actor.judge(stamp.sequence)
         try:
-            episode = wire.build_episode(header, arrays)
-            if episode.trajectory.policy_version <= DEMONSTRATION:
-                raise WireError(f"a rollout has policy version {episode.trajectory.policy_version}")
             with wire.untrusted():
-                episode.trajectory.check_learned()
+                version = take(header, "policy_version", int)
+            if version <= DEMONSTRATION:
+                raise WireError(f"a rollout has policy version {version}")
         except WireError as error:
-            LOG.warning("dropped episode %d of %s: %s", stamp.sequence, stamp.actor, error)
-            return self._count_received("invalid")
-        if self._is_stale(episode, self._policy_version()):
-            return self._count_received("stale")
-        self._count_received("")
-        self._queue.append(_Queued(episode=episode, owner=actor))
+            return self._drop_invalid(stamp.actor, error)
+        if self._is_stale(version, self._policy_version()):
+            return self._drop("stale")
+        self._queue.append(_Queued(header=header, arrays=arrays, version=version, owner=actor, size=size))
+        self._bytes += size
         actor.queued += 1
 
-    def _is_stale(self, episode: Episode, version: int) -> bool:
+    def _leave_queue(self, version: int) -> Episode | None:
+        """The next one; None when it is not worth having."""
+        entry = self._queue.popleft()
+        self._bytes -= entry.size
+        entry.owner.queued -= 1
+        self._untold.add(entry.owner.actor)
+        if self._is_stale(entry.version, version):
+            self._drop("stale_queued")
+            return None
+        try:
+            return wire.build_episode(entry.header, entry.arrays)
+        except WireError as error:
+            self._drop_invalid(entry.owner.actor, error)
+            return None
+
+    def _drop_invalid(self, actor: str, error: WireError) -> None:
+        LOG.warning("dropped an episode of %s: %s", actor, error)
+        self._drop("invalid")
+
+    def _is_stale(self, played: int, version: int) -> bool:
         # A policy from ahead of a learner that went back to a checkpoint is as far away as one from behind.
-        return abs(version - episode.trajectory.policy_version) > self._limits.max_lag
+        return abs(version - played) > self._limits.max_lag
 
     def _observe(self, episode: Episode, version: int) -> None:
         self._metrics.policy_lag.observe(max(0, version - episode.trajectory.policy_version))
@@ -233,16 +249,23 @@ class Admission:
             lag = self._reward_version() - episode.trajectory.reward_version
             self._metrics.reward_lag.observe(max(0, lag))
 
-    def _refuse(self, kind: str, reason: str) -> list[bytes]:
+    def _refuse(self, kind: str, reason: str, stamp: Stamp) -> list[bytes]:
         if kind == delivery.EPISODE:
-            self._count_received(reason)
-        return delivery.encode_refused(reason)
+            self._refused(reason)
+        return delivery.encode_refused(reason, stamp)
 
-    def _count_received(self, dropped: str) -> None:
+    def _refused(self, reason: str) -> None:
+        """A message that is no new episode, or not yet."""
         self._metrics.trajectories_received.inc()
-        if dropped:
-            self._drop(dropped)
+        self._metrics.trajectories_dropped.labels(reason).inc()
 
     def _drop(self, reason: str, episodes: int = 1) -> None:
+        """An episode that will not be trained on."""
+        assert reason in DROPPED
         if episodes:
+            self._counts[reason] += episodes
             self._metrics.trajectories_dropped.labels(reason).inc(episodes)
+
+
+def _page(episode: Episode) -> tuple[str, int]:
+    return episode.trajectory.task, episode.trajectory.seed

@@ -3,34 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Protocol
+from typing import Protocol
 
 from giirl.config import Config
-from learner.giirl import Learning, Observe, Source, giirl
+from learner.giirl import Observe, giirl
+from learner.parts import Ask, Cloning, Comparable, Net, Played, Read, Rewards, Source
 
 
-class Cloning(Learning, Protocol):
-    """A learner that can also do without a reward."""
-
-    cloner: Any  # update(expert)
-
-
-class Comparable(Cloning, Protocol):
-    """One that can do all that its own is compared with."""
-
-    soft_q: Any  # update(expert, rollouts)
-
-    def told(self, rollouts: Any) -> Any: ...
-
-
-def clone(config: Config, learner: Cloning, source: Source, steps: Iterable[int], observe: Observe) -> None:
+def clone(
+    config: Config,
+    learner: Cloning[Played, Read, Net, Rewards, Ask],
+    source: Source[Played],
+    steps: Iterable[int],
+    observe: Observe,
+) -> None:
     """Behavioural cloning on the same net and demonstrations; rollouts are only watched."""
     for step in steps:
         source.take(config.rollout_batch)
         observe(step, learner.cloner.update(learner.demos.sample(config.cloning.batch)))
 
 
-def follow(config: Config, learner: Comparable, source: Source, steps: Iterable[int], observe: Observe) -> None:
+def follow(
+    config: Config,
+    learner: Comparable[Played, Read, Net, Rewards, Ask],
+    source: Source[Played],
+    steps: Iterable[int],
+    observe: Observe,
+) -> None:
     """A fresh policy on a reward that was learned before and stays as it is."""
     for step in steps:
         rollouts = learner.study(source.take(config.rollout_batch))
@@ -38,21 +37,46 @@ def follow(config: Config, learner: Comparable, source: Source, steps: Iterable[
         observe(step, learner.policy.update(rollouts, rewards, learner.discriminator.ask))
 
 
-def reinforce(config: Config, learner: Comparable, source: Source, steps: Iterable[int], observe: Observe) -> None:
+def reinforce(
+    config: Config,
+    learner: Comparable[Played, Read, Net, Rewards, Ask],
+    source: Source[Played],
+    steps: Iterable[int],
+    observe: Observe,
+) -> None:
     """The same policy optimisation on the page's own sparse reward, which the source then tells."""
     for step in steps:
         rollouts = learner.study(source.take(config.rollout_batch))
         observe(step, learner.policy.update(rollouts, learner.told(rollouts), None))
 
 
-def imitate(config: Config, learner: Comparable, source: Source, steps: Iterable[int], observe: Observe) -> None:
+def imitate(
+    config: Config,
+    learner: Comparable[Played, Read, Net, Rewards, Ask],
+    source: Source[Played],
+    steps: Iterable[int],
+    observe: Observe,
+) -> None:
     """SQIL or IQ-Learn: soft Q-learning from demonstrations and rollouts, with no reward in between."""
     for step in steps:
         rollouts = learner.study(source.take(config.rollout_batch))
         observe(step, learner.soft_q.update(learner.demos.sample(config.soft_q.batch), rollouts))
 
 
-ALGORITHMS = {
+class Algorithm(Protocol):
+    """A loop over all that a comparable learner can do."""
+
+    def __call__(
+        self,
+        config: Config,
+        learner: Comparable[Played, Read, Net, Rewards, Ask],
+        source: Source[Played],
+        steps: Iterable[int],
+        observe: Observe,
+    ) -> None: ...
+
+
+ALGORITHMS: dict[str, Algorithm] = {
     "giirl": giirl,
     "cloning": clone,
     "frozen": follow,

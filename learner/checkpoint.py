@@ -18,7 +18,7 @@ LATEST = "latest"
 def save_checkpoint(folder: Path, step: int, write: Callable[[Path], None], keep: int) -> Path:
     """Let `write` fill a checkpoint for `step`, make it the latest, and prune all but the newest `keep`."""
     folder.mkdir(parents=True, exist_ok=True)
-    final, partial = folder / f"step-{step:08d}", folder / f".partial-{step:08d}"
+    final, partial = _free_name(folder, step), folder / f".partial-{step:08d}"
     for abandoned in folder.glob(".partial-*"):
         shutil.rmtree(abandoned)
     partial.mkdir()
@@ -28,16 +28,14 @@ def save_checkpoint(folder: Path, step: int, write: Callable[[Path], None], keep
     manifest.write_text(json.dumps({"step": step, "sha256": hashes}, indent=2))
     _sync_and_hash(manifest)
     sync_folder(partial)
-    aside = folder / f".partial-{step:08d}-old"
-    if final.exists():  # the same step again, after going back
-        final.rename(aside)
+    if final.exists():  # of a future that was given up by going back
+        final.rename(folder / f".partial-{step:08d}-old")
     partial.rename(final)
     sync_folder(folder)
-    shutil.rmtree(aside, ignore_errors=True)
     with whole_file(folder / LATEST) as file:
         file.write(final.name.encode())
     others = sorted(path for path in folder.glob("step-*") if path != final)  # later ones too, after going back
-    for old in others[: max(0, len(others) + 1 - keep)]:
+    for old in [*others[: max(0, len(others) + 1 - keep)], *folder.glob(".partial-*")]:
         shutil.rmtree(old)
     return final
 
@@ -66,6 +64,14 @@ def latest_checkpoint(folder: Path) -> Path:
                 f"{_instead(folder, found)}"
             )
     return found
+
+
+def _free_name(folder: Path, step: int) -> Path:
+    """A name that is not the latest's: of a step saved twice the first stays whole until the second is."""
+    pointer = folder / LATEST
+    latest = pointer.read_text().strip() if pointer.is_file() else ""
+    name = f"step-{step:08d}"
+    return folder / (f"{name}-again" if latest == name else name)
 
 
 def _instead(folder: Path, damaged: Path) -> str:

@@ -9,30 +9,20 @@ actors --- tau_pi, g_pi ---> D: expert or policy? --- r(s, a | g) ---> pi: maxim
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, Protocol
 
 from giirl.config import Config
+from learner.parts import Ask, Learning, Net, Played, Read, Rewards, Source, Stats
 
-Observe = Callable[[int, dict[str, float]], None]
-
-
-class Source(Protocol):
-    """Plays: episodes of web pages, or of a grid. What an episode is only the learner of its world knows."""
-
-    def take(self, episodes: int) -> Any: ...
+Observe = Callable[[int, Stats], None]
 
 
-class Learning(Protocol):
-    """The parts that learn in one world, with the verbs that the loop below uses."""
-
-    demos: Any  # sample(count): demonstrations
-    discriminator: Any  # update(expert, rollouts, net), rewards(rollouts, version), ask(...): reward of anything
-    policy: Any  # net, update(rollouts, rewards, ask)
-
-    def study(self, episodes: Any) -> Any: ...
-
-
-def giirl(config: Config, learner: Learning, source: Source, steps: Iterable[int], observe: Observe) -> None:
+def giirl(
+    config: Config,
+    learner: Learning[Played, Read, Net, Rewards, Ask],
+    source: Source[Played],
+    steps: Iterable[int],
+    observe: Observe,
+) -> None:
     """Learn a reward and a policy together. `observe` publishes, reports and saves after every step."""
     demos, discriminator, policy = learner.demos, learner.discriminator, learner.policy
     for step in steps:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,7 +15,8 @@ from torch.nn import functional
 
 from giirl.config import GridConfig
 from giirl.gridcraft import ACTIONS, World, observations
-from giirl.gridcraft_layouts import COLOURS, WALL
+from giirl.gridcraft_instructions import rename
+from giirl.gridcraft_layouts import COLOURS, WALL, colour_number
 from giirl.language import BagOfWords
 from giirl.reward import reward_of
 
@@ -23,15 +27,12 @@ class Sight:
     """States and sentences of a world as the nets get them. State S, the last, is where absorbing episodes end."""
 
     def __init__(self, world: World, sentences: Sequence[str], bag: BagOfWords, grid: GridConfig) -> None:
-        seen = observations(world, grid.neighbours)
-        seen = np.pad(seen, ((0, 1), (0, int(grid.absorbing))))
-        if grid.absorbing:
-            seen[-1, -1] = 1.0
-        self.states = torch.tensor(seen)  # [S + 1, F]
+        self._world, self._sentences, self._bag, self._grid = world, sentences, bag, grid
+        self.states = torch.tensor(self._states(world))  # [S + 1, F]
         self.far = self.states  # [S + 1, F'] what a policy sees: it must also know where things are
         if grid.whole_map:
             self.far = torch.cat([self.states, torch.tensor(np.pad(_maps(world), ((0, 1), (0, 0))))], dim=1)
-        self.goals = torch.tensor(np.stack([bag(sentence) for sentence in sentences]))  # [G, V]
+        self.goals = self._goals(sentences)  # [G, V]
         self.end = len(world)
         self.absorbing = grid.absorbing
 
@@ -53,16 +54,39 @@ class Sight:
         """[N, F + V] what the reward reads of N states under N sentences."""
         return torch.cat([self.states[torch.from_numpy(state)], self.goals[torch.from_numpy(goal)]], dim=1)
 
+    @functools.cached_property
+    def renamings(self) -> tuple[Tensor, Tensor]:
+        """[P, S + 1, F] states and [P, G, V] sentences under every way to swap the colours' names in both alike."""
+        states, goals = [], []
+        for others in itertools.permutations(self._grid.colours):
+            names = dict(zip(self._grid.colours, others, strict=True))
+            number = np.array([0, *(colour_number(names.get(colour, colour)) for colour in COLOURS)])
+            states.append(self._states(dataclasses.replace(self._world, colour=number[self._world.colour])))
+            goals.append(self._goals([rename(sentence, names) for sentence in self._sentences]))
+        return torch.tensor(np.stack(states)), torch.stack(goals)
+
+    def _states(self, world: World) -> NDArray[np.float32]:
+        seen = np.pad(observations(world, self._grid.neighbours), ((0, 1), (0, int(self._grid.absorbing))))
+        if self._grid.absorbing:
+            seen[-1, -1] = 1.0
+        return seen
+
+    def _goals(self, sentences: Sequence[str]) -> Tensor:
+        return torch.tensor(np.stack([self._bag(sentence) for sentence in sentences]))
+
 
 def _maps(world: World) -> NDArray[np.float32]:
-    """[S, H * W * 5] the layout that each state lies in, cell by cell as one of the colours or a wall."""
+    """[S, H * W * 5 + H + W] the layout of each state, cell by cell as a colour or a wall, then its row and column."""
     shapes = {layout.cells.shape for layout in world.layouts}
     if len(shapes) > 1:
         raise ValueError(f"grid.whole_map got layouts of the sizes {sorted(shapes)}, wanted one size for all")
     cells = np.stack([layout.cells for layout in world.layouts])
     planes = cells[..., None] == np.array([WALL, *range(1, len(COLOURS) + 1)])
-    maps: NDArray[np.float32] = planes.reshape(len(cells), -1).astype(np.float32)
-    return maps[world.layout]
+    maps = planes.reshape(len(cells), -1)[world.layout]
+    height, width = cells.shape[1:]
+    row, column = np.eye(height)[world.position[:, 0]], np.eye(width)[world.position[:, 1]]
+    seen: NDArray[np.float32] = np.concatenate([maps, row, column], axis=1).astype(np.float32)
+    return seen
 
 
 class RewardNet(nn.Module):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
+import safetensors.numpy
 import torch
 from numpy.typing import NDArray
 
@@ -71,8 +72,19 @@ class Steps:
             goal=np.repeat(goal, actions.shape[1]),
         )
 
+    def seal(self) -> bytes:
+        """As safetensors."""
+        blob: bytes = safetensors.numpy.save({name: getattr(self, name) for name in COLUMNS})
+        return blob
 
-NOTHING = Steps(**{name: np.zeros(0, dtype=np.int64) for name in ("state", "action", "following", "goal")})
+    @classmethod
+    def unseal(cls, blob: bytes) -> Steps:
+        """The inverse."""
+        return cls(**safetensors.numpy.load(blob))
+
+
+COLUMNS = tuple(field.name for field in fields(Steps))
+NOTHING = Steps(**{name: np.zeros(0, dtype=np.int64) for name in COLUMNS})
 
 
 def expert_steps(
@@ -112,6 +124,8 @@ class GridDemos:
         self.steps, self._length, self._rng = steps, length, rng
         self._others = {m: goals[meaning[goals] != m] for m in set(meaning[goals].tolist())}
         self._meaning = meaning
+        self._stood = np.zeros((meaning.max() + 1, max(steps.state.max(), steps.following.max()) + 1), dtype=np.bool_)
+        self._stood[meaning[steps.goal], steps.state] = True  # [meaning, S] where experts were seen
 
     def sample(self, count: int) -> Steps:
         """So many episodes, with repetition."""
@@ -119,21 +133,24 @@ class GridDemos:
         return self.steps.pick((episodes[:, None] * self._length + np.arange(self._length)).ravel())
 
     def wrong_goals(self, expert: Steps) -> Steps:
-        """Each step under a sentence of another meaning, drawn anew; none where there is only one meaning."""
+        """Each step under a sentence of another meaning, drawn anew; but none where experts of that sentence were seen.
+
+        Being there is not wrong. What is left says where to go and, of two sentences with one goal, what to avoid.
+        """
         if len(self._others) < 2:
             return NOTHING
         goal = np.zeros_like(expert.goal)
         for meaning, others in self._others.items():
             own = self._meaning[expert.goal] == meaning
             goal[own] = self._rng.choice(others, size=int(own.sum()))
-        return expert.under(goal)
+        return expert.under(goal).pick(np.flatnonzero(~self._stood[self._meaning[goal], expert.state]))
 
 
 class GridSource:
     """Plays the policy under random sentences of those that training may see."""
 
     def __init__(self, world: World, sight: Sight, goals: Index, net: QNet, rng: np.random.Generator) -> None:
-        self._world, self._sight, self._goals, self._net, self._rng = world, sight, goals, net, rng
+        self.world, self._sight, self._goals, self._net, self._rng = world, sight, goals, net, rng
         self._end = sight.end if sight.absorbing else None
         self.env_steps = 0
 
@@ -141,12 +158,12 @@ class GridSource:
     def take(self, episodes: int) -> Steps:
         """So many episodes of HORIZON steps."""
         goal = self._rng.choice(self._goals, size=episodes)
-        states, actions = [draw_starts(self._world, episodes, self._rng)], []
+        states, actions = [draw_starts(self.world, episodes, self._rng)], []
         for _ in range(HORIZON):
             pi = self._net.log_policy(self._sight.wide(states[-1], goal)).exp().numpy()
             below = np.cumsum(pi, axis=1)[:, :-1] <= self._rng.random((episodes, 1))
             actions.append(below.sum(axis=1))
-            states.append(step(self._world, states[-1], actions[-1], self._rng))
+            states.append(step(self.world, states[-1], actions[-1], self._rng))
         self.env_steps += episodes * HORIZON
         paths = Paths(states=np.stack(states, axis=1), actions=np.stack(actions, axis=1))
         return Steps.of(paths, goal, self._end)

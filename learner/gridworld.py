@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,7 +16,9 @@ from giirl.config import Config, DiscriminatorConfig
 from giirl.gridcraft import HORIZON, World
 from giirl.gridcraft_instructions import Pair, plain_sentence, sentences
 from giirl.language import BagOfWords
+from giirl.parameters import load_net, load_optimiser, seal_net, seal_optimiser
 from giirl.reward import reward_of
+from giirl.spec import Weights
 from learner.grid_nets import PotentialNet, QNet, RewardNet, Sight, one_hot
 from learner.grid_steps import NOTHING, GridDemos, Index, Steps, chance_steps, expert_steps
 from learner.losses import gradient_penalty, logistic_loss
@@ -35,8 +40,9 @@ class GridDiscriminator:
             [*self.net.parameters(), *self.potential.parameters()],
             lr=self.config.learning_rate,
             weight_decay=self.config.weight_decay,
+            fused=True,
         )
-        self._old = NOTHING
+        self.old = NOTHING
 
     def update(self, expert: Steps, rollouts: Steps, policy: QNet) -> dict[str, float]:
         """Train on fresh draws from each source; returns the loss and the share of each source judged rightly."""
@@ -44,8 +50,8 @@ class GridDiscriminator:
         for _ in range(self.config.updates):
             stats = self._descend(self._sources(expert, rollouts, policy), policy)
         kept = self.config.replay_size * HORIZON
-        self._old = Steps.join([self._old, rollouts])
-        self._old = self._old.pick(np.arange(max(len(self._old) - kept, 0), len(self._old)))
+        self.old = Steps.join([self.old, rollouts])
+        self.old = self.old.pick(np.arange(max(len(self.old) - kept, 0), len(self.old)))
         return stats
 
     def rewards(self, rollouts: Steps, version: int) -> Tensor:
@@ -64,7 +70,7 @@ class GridDiscriminator:
         sources = {
             EXPERT: (1.0, shown),
             "rollouts": (config.rollouts, new),
-            "replay": (config.replay, self._old.draw(config.batch, rng) if config.replay else NOTHING),
+            "replay": (config.replay, self.old.draw(config.batch, rng) if config.replay else NOTHING),
             "demo_states": (config.demo_states, self._act(shown, policy) if config.demo_states else NOTHING),
             "chance": (config.chance, self._chance.draw(config.batch, rng)),
             "wrong_goal": (config.wrong_goal, self._demos.wrong_goals(shown) if config.wrong_goal else NOTHING),
@@ -81,7 +87,7 @@ class GridDiscriminator:
     def _descend(self, sources: dict[str, tuple[float, Steps]], policy: QNet) -> dict[str, float]:
         config = self.config
         steps = Steps.join([steps for _, steps in sources.values()])
-        inputs = [self._sight(steps.state, steps.goal), one_hot(steps.action)]
+        inputs = [self._see(steps), one_hot(steps.action)]
         for tensor in inputs:
             tensor.requires_grad_(config.gradient_penalty > 0)
         logits = self.net(*inputs)
@@ -96,6 +102,16 @@ class GridDiscriminator:
         right = {name: (part > 0 if name == EXPERT else part < 0).float().mean() for name, part in parts.items()}
         return {"d_loss": loss.item(), **{f"d_accuracy_{name}": share.item() for name, share in right.items()}}
 
+    def _see(self, steps: Steps) -> Tensor:
+        """[N, F + V], a share of `rename` with the names of the colours swapped, in sight and sentence alike."""
+        if not self.config.rename:
+            return self._sight(steps.state, steps.goal)
+        states, goals = self._sight.renamings
+        swapped = self._rng.random(len(steps)) < self.config.rename
+        names = torch.from_numpy(np.where(swapped, self._rng.integers(len(states), size=len(steps)), 0))
+        state, goal = torch.from_numpy(steps.state), torch.from_numpy(steps.goal)
+        return torch.cat([states[names, state], goals[names, goal]], dim=1)
+
     def _shaping(self, steps: Steps, seen: Tensor, policy: QNet) -> Tensor:
         """gamma h(s') - h(s) - log pi(a | s), what AIRL (Fu, Luo and Levine 2018) adds to r(s, a)."""
         following = self.potential(self._sight(steps.following, steps.goal))
@@ -107,25 +123,32 @@ class GridDiscriminator:
         return difference
 
 
-class SoftQ:
-    """Soft Q-learning (Haarnoja et al. 2017) with a target net, from new steps, old ones and chance's."""
+class GridSoftQ:
+    """Soft Q-learning (Haarnoja et al. 2017) from new steps, old ones and chance's.
 
-    def __init__(self, config: Config, sight: Sight, chance: Steps, rng: np.random.Generator) -> None:
+    `net`, the moving average of `q`, is the target net, and the policy that acts: it does not follow every gradient.
+    """
+
+    def __init__(self, config: Config, sight: Sight, goals: Index, chance: Steps, rng: np.random.Generator) -> None:
         self.config, self._grid, self._sight, self._rng = config.policy, config.grid, sight, rng
+        self._goals = goals  # [G] the sentences that training may see
         self.scale = config.discriminator.clip
+        self.q = QNet(sight.far_width, 2 * config.net.width, self.config.entropy, self.scale)
         self.net = QNet(sight.far_width, 2 * config.net.width, self.config.entropy, self.scale)
-        self.target = QNet(sight.far_width, 2 * config.net.width, self.config.entropy, self.scale)
-        self.target.load_state_dict(self.net.state_dict())
-        self.optimiser = torch.optim.Adam(self.net.parameters(), lr=self.config.learning_rate, fused=True)
-        self._chance, self._old = chance, NOTHING
+        self.net.load_state_dict(self.q.state_dict())
+        self.optimiser = torch.optim.Adam(self.q.parameters(), lr=self.config.learning_rate, fused=True)
+        self._chance, self.old = chance, NOTHING
 
     def update(self, rollouts: Steps, rewards: Tensor, ask: Ask) -> dict[str, float]:
-        """Steps of gradient descent on the soft Bellman error. `ask` tells the rewards of older steps today."""
+        """Steps of gradient descent on the soft Bellman error, on steps old and new.
+
+        Each is learned from under any of the sentences, whichever it was played under (hindsight relabelling,
+        Andrychowicz et al. 2017): `ask` tells what it would have earned, and today.
+        """
         batch, updates, rng = self._grid.batch, self.config.updates, self._rng
-        self._old = Steps.join([self._old, rollouts])
-        drawn = Steps.join([self._old.draw(updates * batch // 2, rng), self._chance.draw(updates * batch // 2, rng)])
-        order = rng.permutation(len(drawn))
-        drawn = drawn.pick(order)
+        self.old = Steps.join([self.old, rollouts])
+        drawn = Steps.join([self.old.draw(updates * batch // 2, rng), self._chance.draw(updates * batch // 2, rng)])
+        drawn = drawn.pick(rng.permutation(len(drawn))).under(rng.choice(self._goals, size=len(drawn)))
         told = ask(drawn) / self.scale
         wide = self._sight.wide
         seen, after = wide(drawn.state, drawn.goal), wide(drawn.following, drawn.goal)
@@ -134,15 +157,13 @@ class SoftQ:
         for i in range(updates):
             part = slice(i * len(drawn) // updates, (i + 1) * len(drawn) // updates)
             with torch.no_grad():
-                target = soft_target(told[part], self.target(after[part]), self.config.gamma, self._temperature)
-            loss = functional.mse_loss(self.net(seen[part]).gather(1, action[part]).squeeze(1), target)
+                target = soft_target(told[part], self.net(after[part]), self.config.gamma, self._temperature)
+            loss = functional.mse_loss(self.q(seen[part]).gather(1, action[part]).squeeze(1), target)
             self.optimiser.zero_grad()
             loss.backward()
             self.optimiser.step()
             with torch.no_grad():
-                torch._foreach_lerp_(
-                    list(self.target.parameters()), list(self.net.parameters()), self._grid.target_rate
-                )
+                torch._foreach_lerp_(list(self.net.parameters()), list(self.q.parameters()), self._grid.target_rate)
             losses.append(loss.item())
         return {"p_loss": float(np.mean(losses)), "p_reward": rewards.mean().item()}
 
@@ -181,6 +202,7 @@ class GridLearner:
     def __init__(self, config: Config, world: World, pairs: Sequence[Pair]) -> None:
         torch.manual_seed(config.seed)
         self.accuracy = 1.0  # of the discriminator on the newest rollouts
+        self.version = 0  # steps done
         self.config, self.pairs, self.rng = config, tuple(pairs), np.random.default_rng([config.seed, 0])
         grid = config.grid
         said = [(plain_sentence(p),) if grid.sentences == "plain" else sentences(p) for p in pairs]
@@ -197,7 +219,7 @@ class GridLearner:
         self.chance_env_steps = grid.chance_episodes * HORIZON
         self.demos = GridDemos(shown, HORIZON + (end is not None), self.meaning, self.goals, self.rng)
         self.discriminator = GridDiscriminator(config, self.sight, self.demos, chance, self.rng)
-        self.policy = SoftQ(config, self.sight, chance, self.rng)
+        self.policy = GridSoftQ(config, self.sight, self.goals, chance, self.rng)
         self.cloner = GridCloner(config, self.sight)
 
     def study(self, episodes: Steps) -> Steps:
@@ -230,3 +252,32 @@ class GridLearner:
             "policy": self.policy.net,
             "cloning": self.cloner.net,
         }
+
+    def save(self, folder: Path) -> None:
+        """Write everything that the next step depends on, and the seed does not tell, into an empty folder."""
+        for name, net in self._saved_nets().items():
+            (folder / f"{name}.safetensors").write_bytes(seal_net(net, self.version).blob)
+        for name, part in self._parts().items():
+            (folder / f"{name}_optimiser.safetensors").write_bytes(seal_optimiser(part.optimiser))
+        (folder / "reward_replay.safetensors").write_bytes(self.discriminator.old.seal())
+        (folder / "policy_replay.safetensors").write_bytes(self.policy.old.seal())
+        state = {"version": self.version, "accuracy": self.accuracy, "draw": self.rng.bit_generator.state}
+        (folder / "learner.json").write_text(json.dumps(state, indent=2))
+
+    def load(self, folder: Path) -> None:
+        """The inverse of `save`; ValueError when the checkpoint is of other nets."""
+        state: dict[str, Any] = json.loads((folder / "learner.json").read_text())
+        for name, net in self._saved_nets().items():
+            load_net(net, Weights.seal(state["version"], (folder / f"{name}.safetensors").read_bytes()))
+        for name, part in self._parts().items():
+            load_optimiser(part.optimiser, (folder / f"{name}_optimiser.safetensors").read_bytes())
+        self.discriminator.old = Steps.unseal((folder / "reward_replay.safetensors").read_bytes())
+        self.policy.old = Steps.unseal((folder / "policy_replay.safetensors").read_bytes())
+        self.rng.bit_generator.state = state["draw"]
+        self.version, self.accuracy = state["version"], state["accuracy"]
+
+    def _saved_nets(self) -> dict[str, nn.Module]:
+        return {**self.nets(), "q": self.policy.q}
+
+    def _parts(self) -> dict[str, GridDiscriminator | GridSoftQ | GridCloner]:
+        return {"reward": self.discriminator, "policy": self.policy, "cloning": self.cloner}

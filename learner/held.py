@@ -1,42 +1,61 @@
-"""What the ingest holds at one moment, on disk and back: accepted episodes, and what has been judged of each actor."""
+"""What the ingest holds at one moment, on disk and back: accepted episodes, what was judged, and what became of it."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+
+from pydantic import ConfigDict, NonNegativeInt, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass as checked
 
 from giirl.spec import Episode
 from giirl.wire import read_episodes, write_episodes
 
-MARKS, QUEUE = "actors.json", "queue.giirl"
+BOOKS, QUEUE = "actors.json", "queue.giirl"
+STRICT = ConfigDict(extra="forbid", strict=True)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@checked(config=STRICT, frozen=True, slots=True, kw_only=True)
 class Mark:
     """Which episodes of an actor have been judged: what a checkpoint remembers of it."""
 
     actor: str
-    incarnation: int
-    floor: int  # every sequence below
-    judged: tuple[int, ...] = ()  # and these above it
+    incarnation: NonNegativeInt
+    floor: NonNegativeInt  # every sequence below
+    judged: tuple[NonNegativeInt, ...] = ()  # and these above it
+    finished: NonNegativeInt = 0  # by the actor, as far as was known
+
+
+@checked(config=STRICT, frozen=True, slots=True, kw_only=True)
+class _Books:
+    marks: tuple[Mark, ...]
+    counts: dict[str, NonNegativeInt]
+
+
+_BOOKS = TypeAdapter(_Books)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Held:
-    """What a checkpoint has to hold of the ingest: episodes accepted and not yet used, and all marks."""
+    """What a checkpoint has to hold of the ingest: episodes accepted and not yet used, all marks and counts."""
 
     episodes: tuple[Episode, ...] = ()
     marks: tuple[Mark, ...] = ()
+    counts: Mapping[str, int] = field(default_factory=dict)  # what became of how many in this history
 
     def save(self, folder: Path) -> None:
         write_episodes(folder / QUEUE, self.episodes)
-        (folder / MARKS).write_text(json.dumps([asdict(mark) for mark in self.marks]))
+        books = {"marks": [asdict(mark) for mark in self.marks], "counts": dict(self.counts)}
+        (folder / BOOKS).write_text(json.dumps(books))
 
     @classmethod
     def load(cls, folder: Path) -> Held:
-        marks = json.loads((folder / MARKS).read_text())
-        return cls(
-            episodes=tuple(read_episodes(folder / QUEUE)),
-            marks=tuple(Mark(**{**mark, "judged": tuple(mark["judged"])}) for mark in marks),
-        )
+        """The inverse of `save`; ValueError where the files are none of ours."""
+        try:
+            books = _BOOKS.validate_json((folder / BOOKS).read_bytes())
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise ValueError(f"{folder / BOOKS} at {first['loc']}: {first['msg']}; wanted a whole checkpoint") from None
+        return cls(episodes=tuple(read_episodes(folder / QUEUE)), marks=books.marks, counts=books.counts)

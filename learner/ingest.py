@@ -41,6 +41,7 @@ class Ingest:
             metrics=self._metrics,
             held=held or Held(),
         )
+        self._refusals = 0
         self._lock = threading.Condition()
         self._broken: BaseException | None = None
         self._stop = threading.Event()
@@ -78,6 +79,12 @@ class Ingest:
         with self._lock:
             self._books.commit(held)
         self._router.wake()
+
+    @property
+    def wants_commit(self) -> bool:
+        """Whether an actor can go on only after a checkpoint: it keeps as many copies as it may."""
+        with self._lock:
+            return self._books.wants_commit
 
     def silent_for_s(self, actor: str) -> float:
         """How long ago an actor was last heard; infinite when it never was."""
@@ -122,6 +129,9 @@ class Ingest:
                 self._lock.notify_all()
             if answer is not None:
                 self._router.send(peer, answer)  # a peer that is gone needs no answer
+        if (refusals := self._router.refusals) > self._refusals:
+            self._metrics.connections_refused.labels("trajectories").inc(refusals - self._refusals)
+            self._refusals = refusals
         with self._lock:
             grants = self._books.grants()
         for peer, frames in grants:

@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import safetensors.torch
 import torch
+from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from giirl.config import Config
 from giirl.language import load_vectors
 from giirl.metrics import Metrics
-from giirl.parameters import hash_nets, load_net, seal_net
+from giirl.parameters import hash_nets, load_net, load_optimiser, seal_net, seal_optimiser
 from giirl.reward import build_policy, build_reward
 from giirl.spec import Episode, Outcome, Trajectory, Weights
 from giirl.wire import read_episodes, write_episodes
@@ -102,7 +102,7 @@ class Learner:
         for name, net in self._nets().items():
             (folder / f"{name}.safetensors").write_bytes(seal_net(net, self.version).blob)
         for name, optimiser in self._optimisers().items():
-            (folder / f"{name}_optimiser.safetensors").write_bytes(_save_optimiser(optimiser))
+            (folder / f"{name}_optimiser.safetensors").write_bytes(seal_optimiser(optimiser))
         episodes = [Episode(trajectory=e.trajectory, outcome=UNKNOWN_OUTCOME) for e in self.replay.examples]
         write_episodes(folder / "replay.giirl", episodes)
         state = {
@@ -115,12 +115,18 @@ class Learner:
         (folder / "learner.json").write_text(json.dumps(state, indent=2))
 
     def load(self, folder: Path) -> None:
-        """The inverse of `save`; ValueError when the checkpoint is of other nets."""
+        """The inverse of `save`; ValueError when the checkpoint is of other nets, or of no learner at all."""
+        try:
+            self._load(folder)
+        except (LookupError, TypeError, AttributeError, OverflowError, RuntimeError, SafetensorError) as error:
+            raise ValueError(f"{folder} is no checkpoint of such a learner: {error!r:.200}") from error
+
+    def _load(self, folder: Path) -> None:
         state: dict[str, Any] = json.loads((folder / "learner.json").read_text())
         for name, net in self._nets().items():
             load_net(net, Weights.seal(state["version"], (folder / f"{name}.safetensors").read_bytes()))
         for name, optimiser in self._optimisers().items():
-            _load_optimiser(optimiser, (folder / f"{name}_optimiser.safetensors").read_bytes())
+            load_optimiser(optimiser, (folder / f"{name}_optimiser.safetensors").read_bytes())
         self.replay.examples = self.study([e.trajectory for e in read_episodes(folder / "replay.giirl")])
         self.replay.seen = state["replay_seen"]
         self.discriminator.accuracy = state["discriminator_accuracy"]
@@ -138,22 +144,3 @@ class Learner:
             "cloning": self.cloner.optimiser,
             "soft_q": self.soft_q.optimiser,
         }
-
-
-def _save_optimiser(optimiser: torch.optim.Optimizer) -> bytes:
-    """The moments of every parameter; learning rates and the like come from the config."""
-    moments = optimiser.state_dict()["state"]
-    blob: bytes = safetensors.torch.save(
-        {f"{index}.{name}": tensor for index, parts in moments.items() for name, tensor in parts.items()}
-    )
-    return blob
-
-
-def _load_optimiser(optimiser: torch.optim.Optimizer, blob: bytes) -> None:
-    moments: dict[int, dict[str, torch.Tensor]] = {}
-    for key, tensor in safetensors.torch.load(blob).items():
-        index, name = key.split(".", 1)
-        moments.setdefault(int(index), {})[name] = tensor
-    state = optimiser.state_dict()
-    state["state"] = moments
-    optimiser.load_state_dict(state)

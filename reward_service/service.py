@@ -74,6 +74,7 @@ class RewardService:
         self._loaded: _Loaded | None = None  # replaced by one assignment; a batch reads it once
         self._loading = threading.Lock()
         self._queue: deque[_Request] = deque()
+        self._refusals = 0
         self._router = Router(host, port, keys=keys)
         self.address = self._router.address
 
@@ -83,18 +84,18 @@ class RewardService:
         loaded = self._loaded
         return loaded.version if loaded else UNSCORED
 
-    def set_weights(self, weights: Weights) -> None:
+    def set_weights(self, weights: Weights, *, anew: bool = False) -> None:
         """Build a scorer from `weights`, then put it in place of the one in use.
 
         ValueError, and nothing changed, when they are corrupt, older than those in use, or others of the same
-        version. The very ones in use may come again.
+        version. The very ones in use may come again; and, where a learner came back to a checkpoint, older ones `anew`.
         """
         with self._loading:
             used = self._loaded
             if used and (used.version, used.digest) == (weights.version, weights.digest):
                 return
             try:
-                if weights.version <= self.version:
+                if weights.version <= self.version and not anew:
                     raise ValueError(f"reward weights of version {weights.version} came after {self.version}")
                 weights.check()
                 score = self._load(weights)
@@ -104,16 +105,19 @@ class RewardService:
             self._loaded = _Loaded(version=weights.version, digest=weights.digest, score=score)
             self._metrics.reward_version.set(weights.version)
 
-    def serve_forever(self, stop: threading.Event) -> None:
-        """Answer until `stop` is set, then let go of the port."""
+    def serve(self, stop: Callable[[], bool]) -> None:
+        """Answer until `stop`, then let go of the port."""
         try:
-            while not stop.is_set():
+            while not stop():
                 self.serve_once(TICK_S)
         finally:
             self._router.close()
 
     def serve_once(self, timeout_s: float) -> None:
         """Wait for requests, then answer one batch."""
+        if (refusals := self._router.refusals) > self._refusals:
+            self._metrics.connections_refused.labels("scoring").inc(refusals - self._refusals)
+            self._refusals = refusals
         if not self._queue:
             with waiting(self._metrics, "score_requests"):
                 self._admit(timeout_s)
@@ -182,7 +186,7 @@ class RewardService:
             first += len(part)
             self._reply(
                 request,
-                ScoreReply(request=request.number, rewards=share, version=loaded.version),
+                ScoreReply(request=request.number, rewards=share, version=loaded.version, backlog=len(self._queue)),
                 result="ok",
             )
 
@@ -195,7 +199,7 @@ class RewardService:
                 self._answer([entry])
 
     def _refuse(self, request: _Request, error: str, *, result: str) -> None:
-        self._reply(request, ScoreReply(request=request.number, error=error), result=result)
+        self._reply(request, ScoreReply(request=request.number, error=error, backlog=len(self._queue)), result=result)
 
     def _reply(self, request: _Request, reply: ScoreReply, *, result: str) -> None:
         sent = self._router.send(request.peer, encode_reply(reply))

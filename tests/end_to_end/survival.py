@@ -84,7 +84,7 @@ def survive(run: Path) -> Survival:
 
 def _see_healthy(command: Command, seen: Survival) -> None:
     def all_at_work() -> bool:
-        jobs = ("learner", "actor-0", "reward-service")
+        jobs = ("learner", "actor-0", "reward-service-0")
         seen.healthy = {job: try_scrape(seen.run, job) for job in jobs}
         return (
             all(seen.healthy.values())
@@ -135,11 +135,11 @@ def _kill_actor(command: Command, seen: Survival) -> None:
 
 def _kill_service(command: Command, seen: Survival) -> None:
     def recovered() -> bool:
-        known = targets(seen.run).get("reward-service")
-        seen.after_service = try_scrape(seen.run, "reward-service") if known != before else {}
+        known = targets(seen.run).get("reward-service-0")
+        seen.after_service = try_scrape(seen.run, "reward-service-0") if known != before else {}
         return total(seen.after_service, "giirl_scoring_requests_total", result="ok") > 0
 
-    before = targets(seen.run)["reward-service"]
+    before = targets(seen.run)["reward-service-0"]
     process = _find(command, "ray::RewardOnRay")
     process.kill()
     command.until(recovered, "answers of a new reward service")
@@ -149,7 +149,7 @@ def _kill_service(command: Command, seen: Survival) -> None:
 def _marks(run: Path) -> list[dict[str, Any]]:
     """What the newest checkpoint knows of the actors; the first one is of before they began."""
     checkpoints = run / "checkpoints"
-    marks: list[dict[str, Any]] = read_json(checkpoints / (checkpoints / "latest").read_text() / "actors.json")
+    marks: list[dict[str, Any]] = read_json(checkpoints / (checkpoints / "latest").read_text() / "actors.json")["marks"]
     return marks
 
 

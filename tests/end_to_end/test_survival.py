@@ -30,7 +30,7 @@ SHOWN = {
         "giirl_discriminator_accuracy",
         "giirl_waiting_seconds_total",
     },
-    "reward-service": {
+    "reward-service-0": {
         "giirl_reward_version",
         "giirl_scoring_requests_total",
         "giirl_scoring_seconds_count",
@@ -93,7 +93,7 @@ def test_the_rewards_of_the_service_reach_the_update(survival: Survival) -> None
 def test_prometheus_finds_every_process_through_the_file_of_the_run(survival: Survival) -> None:
     if survival.watched is None:
         pytest.skip("there is no program prometheus on PATH: apt-get install prometheus")
-    assert survival.watched == {"learner": 1.0, "actor-0": 1.0, "reward-service": 1.0}
+    assert survival.watched == {"learner": 1.0, "actor-0": 1.0, "reward-service-0": 1.0}
     assert survival.watched_steps > 0
 
 

@@ -12,9 +12,9 @@ from giirl.spec import Command, EpisodeSpec, Observation, Verb
 class Farm:
     """A farm and the causes that it has told so far."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, trusted: bool = False) -> None:
         self.causes: list[str] = []
-        self.chrome = ChromeFarm(tabs=3, call_timeout_s=4.0, on_restart=self.causes.append)
+        self.chrome = ChromeFarm(tabs=3, call_timeout_s=4.0, trusted=trusted, on_restart=self.causes.append)
 
     def open(self, task: str, *seeds: int) -> dict[int, Observation]:
         return self.chrome.reset({tab: EpisodeSpec(task=task, seed=seed) for tab, seed in enumerate(seeds)})

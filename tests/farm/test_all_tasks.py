@@ -84,6 +84,15 @@ def test_same_seed_same_page_in_whatever_tab_and_after_whatever_history(chrome: 
 
 
 @pytest.mark.chrome
+@pytest.mark.parametrize("task", ["email-inbox", "social-media-all", "text-editor", "click-menu-2"])
+def test_tabs_that_share_a_process_and_its_images_show_the_same_page(chrome: ChromeFarm, task: str) -> None:
+    chrome.reset({tab: EpisodeSpec(task="click-test", seed=0) for tab in range(TABS)})
+    shown = chrome.reset({tab: EpisodeSpec(task=task, seed=1) for tab in range(TABS)})
+    assert len({seen(observation) for observation in shown.values()}) == 1
+    assert task != "email-inbox" or "star" in shown[0].page.classes
+
+
+@pytest.mark.chrome
 def test_time_goes_on_with_every_step_and_never_between(chrome: ChromeFarm) -> None:
     """A shape that moves is where it is after so many steps, however long they took."""
     places = []

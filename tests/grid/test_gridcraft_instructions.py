@@ -7,7 +7,16 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from giirl.gridcraft_instructions import FORMS, SYNONYMS, Pair, draw_sentence, ordered_pairs, plain_sentence, sentences
+from giirl.gridcraft_instructions import (
+    FORMS,
+    SYNONYMS,
+    Pair,
+    draw_sentence,
+    ordered_pairs,
+    plain_sentence,
+    rename,
+    sentences,
+)
 from giirl.gridcraft_layouts import COLOURS
 from giirl.language import BagOfWords
 from giirl.spec import Goal
@@ -61,3 +70,12 @@ def test_a_pair_of_one_colour_or_of_an_unknown_one_is_refused() -> None:
         Pair("red", "red")
     with pytest.raises(ValueError, match="no colour 'Red'"):
         Pair("Red", "blue")
+
+
+def test_renaming_exchanges_every_word_for_a_colour_and_keeps_all_others() -> None:
+    names = {"red": "blue", "blue": "red", "green": "green"}
+    assert rename("Go to Red. Avoid Blue.", names) == "Go to Blue. Avoid Red."
+    assert rename("Keep off navy and head for jade.", names) == "Keep off scarlet and head for jade."
+    for pair in ordered_pairs():
+        other = Pair(names.get(pair.goal, pair.goal), names.get(pair.avoid, pair.avoid))
+        assert {rename(sentence, names) for sentence in sentences(pair)} == set(sentences(other))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from typing import Any
 
@@ -11,9 +12,9 @@ import pytest
 import torch
 
 from giirl.config import CloningConfig, Config, DiscriminatorConfig, GridConfig, NetConfig, PolicyConfig
-from giirl.gridcraft import ACTIONS, HORIZON, build_world, true_reward
+from giirl.gridcraft import ACTIONS, HORIZON, build_world, observations, true_reward
 from giirl.gridcraft_instructions import Pair
-from giirl.gridcraft_layouts import named_layout
+from giirl.gridcraft_layouts import Layout, named_layout
 from giirl.oracle import fraction, random_policy, solve
 from giirl.parameters import hash_nets
 from giirl.run_grid import learn, pairs_of
@@ -26,7 +27,7 @@ SMALL = Config(
     iterations=3,
     rollout_batch=4,
     net=NetConfig(width=16),
-    discriminator=DiscriminatorConfig(updates=2, batch=32, clip=8.0, gradient_penalty=0.2, demo_states=0.0),
+    discriminator=DiscriminatorConfig(updates=2, batch=32, clip=8.0, gradient_penalty=0.2, demo_states=0.0, rename=0.0),
     policy=PolicyConfig(updates=3, gamma=0.95, entropy=0.1),
     cloning=CloningConfig(batch=4),
     grid=GridConfig(chance_episodes=10, demonstrations=2, batch=32, measure_every=1),
@@ -77,10 +78,23 @@ def test_the_seed_fixes_every_number_and_another_seed_changes_them() -> None:
         with_discriminator(reward="d"),
         with_discriminator(reward="log_d"),
         with_discriminator(gradient_penalty=0.0, demo_states=0.5),
+        with_discriminator(rename=0.5),
         with_discriminator(rollouts=1.0, replay=0.0, chance=0.0, wrong_goal=0.0),
         dataclasses.replace(SMALL, algorithm="cloning"),
     ],
-    ids=["airl", "absorbing", "accuracy", "map", "sentences", "d", "log_d", "demo states", "plain", "cloning"],
+    ids=[
+        "airl",
+        "absorbing",
+        "accuracy",
+        "map",
+        "sentences",
+        "d",
+        "log_d",
+        "demo states",
+        "rename",
+        "plain",
+        "cloning",
+    ],
 )
 def test_every_option_of_the_study_changes_what_is_learned(config: Config) -> None:
     plain, changed = learn(SMALL).learner, learn(config).learner
@@ -106,13 +120,16 @@ def test_an_absorbing_episode_ends_in_a_state_that_it_does_not_leave() -> None:
     assert (states[:, :-1] < end).all()
 
 
-def test_a_wrong_goal_keeps_the_step_and_never_means_the_same() -> None:
+def test_a_wrong_goal_keeps_the_step_and_is_one_whose_experts_never_stand_there() -> None:
     learner = GridLearner(with_grid(sentences="all"), WORLD, PAIRS)
-    expert = learner.demos.sample(5)
+    expert = learner.demos.sample(50)
     wrong = learner.demos.wrong_goals(expert)
-    assert (wrong.state == expert.state).all()
-    assert (wrong.action == expert.action).all()
-    assert (learner.meaning[wrong.goal] != learner.meaning[expert.goal]).all()
+    assert 0 < len(wrong) < len(expert)
+    every = learner.demos.steps
+    shown = set(zip(every.state, every.action, every.following, strict=True))
+    assert shown >= set(zip(wrong.state, wrong.action, wrong.following, strict=True))
+    stood = set(zip(learner.meaning[every.goal], every.state, strict=True))
+    assert not stood & set(zip(learner.meaning[wrong.goal], wrong.state, strict=True))
 
 
 def test_where_only_one_thing_is_ever_meant_there_are_no_wrong_goals() -> None:
@@ -189,3 +206,43 @@ def test_sentences_are_told_apart_by_the_order_of_their_words_only_in_pairs_of_w
         learner = GridLearner(with_grid(order=order), WORLD, PAIRS)
         goals = Sight(WORLD, texts, learner.bag, learner.config.grid).goals
         assert torch.equal(goals[0], goals[1]) == alike
+
+
+def test_renamed_colours_are_another_layout_of_the_same_shape_with_the_sentence_to_match() -> None:
+    config = with_grid(neighbours=True)
+    sight = GridLearner(config, WORLD, PAIRS).sight
+    states, goals = sight.renamings
+    assert torch.equal(states[0], sight.states)
+    assert torch.equal(goals[0], sight.goals)
+    order = list(itertools.permutations(("red", "green", "blue")))
+    swap = order.index(("green", "red", "blue"))
+    cells = WORLD.layouts[0].cells
+    other = build_world([Layout(name="swapped", cells=np.array([0, 2, 1, 3], dtype=np.int8)[cells])])
+    assert torch.equal(states[swap][:-1], torch.tensor(observations(other)))
+    there = [
+        PAIRS.index(Pair(*("red" if c == "green" else "green" if c == "red" else c for c in pair)))
+        for pair in ((p.goal, p.avoid) for p in PAIRS)
+    ]
+    assert torch.equal(goals[swap], sight.goals[there])
+
+
+def test_a_discriminator_that_renames_shows_the_net_the_same_steps_in_other_colours() -> None:
+    learner = GridLearner(with_discriminator(rename=1.0), WORLD, PAIRS)
+    steps = learner.demos.sample(20)
+    plain, seen = learner.sight(steps.state, steps.goal), learner.discriminator._see(steps)
+    assert seen.shape == plain.shape
+    assert not torch.equal(seen, plain)
+    assert torch.allclose(seen.sum(dim=1), plain.sum(dim=1))
+
+
+def test_q_learning_asks_for_the_reward_of_a_step_under_every_sentence() -> None:
+    learner = GridLearner(SMALL, WORLD, PAIRS)
+    asked: list[Steps] = []
+
+    def ask(steps: Steps) -> torch.Tensor:
+        asked.append(steps)
+        return torch.zeros(len(steps))
+
+    rollouts = learner.demos.sample(4).under(np.zeros(4 * HORIZON, dtype=np.int64))
+    learner.policy.update(rollouts, torch.zeros(len(rollouts)), ask)
+    assert set(asked[0].goal.tolist()) == set(range(len(PAIRS)))

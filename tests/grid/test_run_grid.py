@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 
-from giirl import grid_settings, run_reproduce
+from giirl import grid_settings, run_ablations, run_joint, run_reproduce
 from giirl.cli import giirl
 from giirl.config import Config, GridConfig
 from giirl.config_file import load_config
 from giirl.figures import Panel, draw_maps, draw_returns
 from giirl.gridcraft_instructions import Pair
 from giirl.gridcraft_layouts import named_layout
-from giirl.run_grid import layouts_of, pairs_of
+from giirl.parameters import hash_nets
+from giirl.run_grid import go_on, layouts_of, open_run, pairs_of
 from giirl.run_grid_measures import Measures, means
+from giirl.stopping import Stopped
 
 ROOT = Path(__file__).parents[2]
 EXPERIMENT = ROOT / "experiments" / "gridcraft.toml"
 PNG = b"\x89PNG\r\n"
 QUICK = ["iterations=2", "rollout_batch=2", "discriminator.updates=1", "policy.updates=2", "grid.chance_episodes=5"]
+
+
+def invoke(*words: str) -> Result:
+    return CliRunner().invoke(giirl, list(words), catch_exceptions=False)
 
 
 def test_the_experiment_trains_without_a_browser_and_leaves_numbers_and_a_figure(tmp_path: Path) -> None:
@@ -60,29 +68,50 @@ def test_a_study_writes_its_numbers_and_its_figure(study: str, tmp_path: Path, m
 def test_the_joint_study_writes_what_carries_over_and_what_does_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def tiny(seed: int = 0, colours: str = '["red", "green", "blue"]') -> Config:
-        grid = ["grid.random_layouts=1", "grid.layouts=[]", f"grid.colours={colours}", "grid.demonstrations=2"]
-        return load_config(EXPERIMENT, [f"seed={seed}", *QUICK, *grid])
+    def tiny(seed: int = 0, held_out: str = "[]", colours: str = '["red", "green", "blue"]') -> Config:
+        grid = ["grid.random_layouts=1", "grid.layouts=[]", "grid.demonstrations=2", f"grid.held_out={held_out}"]
+        return load_config(EXPERIMENT, [f"seed={seed}", *QUICK, *grid, f"grid.colours={colours}"])
 
-    monkeypatch.setattr(run_reproduce, "thesis", small)
-    monkeypatch.setattr(run_reproduce, "joint", tiny)
-    monkeypatch.setattr(run_reproduce, "few", lambda seed, demonstrations: tiny(seed))
+    monkeypatch.setattr(run_ablations, "thesis", small)
+    monkeypatch.setattr(run_ablations, "FRESH_ITERATIONS", 1)
+    monkeypatch.setattr(run_joint, "joint", tiny)
+    monkeypatch.setattr(run_joint, "few", lambda seed, demonstrations: tiny(seed))
     four = '["red", "green", "blue", "yellow"]'
-    monkeypatch.setattr(run_reproduce, "held_out_pairs", lambda seed: tiny(seed, four))
-    monkeypatch.setattr(run_reproduce, "DEMONSTRATIONS", (1,))
-    monkeypatch.setattr(run_reproduce, "FRESH_ITERATIONS", 1)
-    monkeypatch.setattr(run_reproduce, "CLONING_UPDATES", 2)
+    monkeypatch.setattr(run_joint, "held_out_pairs", lambda seed: tiny(seed, '["red-green"]', four))
+    monkeypatch.setattr(run_joint, "held_out_of_three", lambda seed, rename: tiny(seed, '["red-green"]'))
+    monkeypatch.setattr(run_joint, "FEW", (1,))
+    monkeypatch.setattr(run_joint, "CLONING_UPDATES", 2)
     numbers = tmp_path / "numbers.json"
     command = ["reproduce", "gridcraft-joint", "--json", str(numbers), "--out", str(tmp_path), "--seeds", "1"]
-    done = CliRunner().invoke(giirl, command, catch_exceptions=False)
+    assert invoke(*command).exit_code == 0
+    result = json.loads(numbers.read_text())
+    for part in (result["unseen_layouts"], result["unseen_pairs"], result["unseen_pairs_of_three"]["plain"]):
+        assert {"reward_reoptimised", "policy", "cloning"} <= set(part)
+    assert {"ranked_below_neutral", "entered", "expert_entered"} <= set(result["avoid"])
+    assert set(result["demonstrations"]) == {"1", "2"}
+    assert result["steps_to_optimal"]["learned"] == [None]
+    assert result["steps_to_optimal"]["sparse"] == [[None] * 3]
+    assert (tmp_path / "gridcraft-joint.png").read_bytes().startswith(PNG)
+
+
+def test_the_ablations_are_a_row_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_ablations, "thesis", small)
+    monkeypatch.setattr(grid_settings, "thesis", small)
+    monkeypatch.setattr(run_ablations, "FRESH_ITERATIONS", 1)
+    rows = {name: grid_settings.ABLATIONS[name] for name in ("as reported", "plain Algorithm 1", "single words")}
+    monkeypatch.setattr(run_ablations, "ABLATIONS", rows)
+    numbers = tmp_path / "numbers.json"
+    done = invoke("reproduce", "gridcraft-ablations", "--json", str(numbers), "--seeds", "1")
     assert done.exit_code == 0
     result = json.loads(numbers.read_text())
-    for part in ("unseen_layouts", "unseen_pairs"):
-        assert set(result[part]) == {"reward_reoptimised", "policy", "cloning"}
-    assert {"ranked_below_neutral", "entered", "expert_entered"} <= set(result["avoid"])
-    assert set(result["demonstrations"]) == {"1"}
-    assert result["steps_to_optimal"]["learned"] == [None]
-    assert (tmp_path / "gridcraft-joint.png").read_bytes().startswith(PNG)
+    assert set(result["ablations"]) == set(rows)
+    assert len({row["epic"] for row in result["ablations"].values()}) == len(rows)
+    assert "plain Algorithm 1" in done.output
+
+
+@pytest.mark.parametrize("name", grid_settings.ABLATIONS)
+def test_every_ablation_changes_the_settings_but_the_first(name: str) -> None:
+    assert (grid_settings.ablated(3, name) == grid_settings.thesis(3)) == (name == "as reported")
 
 
 def test_held_out_pairs_are_left_to_the_end_and_named_layouts_come_first() -> None:
@@ -128,3 +157,54 @@ def test_the_figures_are_drawn_into_folders_that_are_not_there_yet(tmp_path: Pat
     draw_returns(tmp_path / "b" / "returns.png", np.array([1, 2, 3]), curves)
     assert (tmp_path / "a" / "maps.png").read_bytes().startswith(PNG)
     assert (tmp_path / "b" / "returns.png").read_bytes().startswith(PNG)
+
+
+def test_a_run_that_goes_on_from_a_checkpoint_ends_as_if_it_had_never_stopped(tmp_path: Path) -> None:
+    whole, parted = tmp_path / "whole", tmp_path / "parted"
+    settings = [str(EXPERIMENT), *QUICK, "iterations=4", "checkpoint_every=2", "grid.measure_every=1"]
+    for run in (whole, parted):
+        assert invoke("train", *settings, f"run={run}").exit_code == 0
+    (parted / "checkpoints/latest").write_text("step-00000002")
+    (parted / "result.json").unlink()
+    assert invoke("train", "--resume", str(parted)).exit_code == 0
+    one, two = (json.loads((run / "result.json").read_text()) for run in (whole, parted))
+    for result in (one, two):
+        del result["seconds"], result["cpu_seconds"]
+    assert one == two
+    assert (whole / "curve.jsonl").read_text() == (parted / "curve.jsonl").read_text()
+
+
+@pytest.mark.parametrize("lost", ["reward_replay", "policy_replay", "q", "policy_optimiser", "reward_optimiser"])
+def test_nothing_in_a_grid_checkpoint_could_be_left_out(lost: str, tmp_path: Path) -> None:
+    config = small()
+    fresh, run = open_run(config), open_run(config)
+    go_on(config, run, lambda: None)
+    for name, one in (("fresh", fresh), ("run", run), ("mixed", run)):
+        (tmp_path / name).mkdir()
+        one.save(tmp_path / name)
+    (tmp_path / "fresh" / f"{lost}.safetensors").replace(tmp_path / "mixed" / f"{lost}.safetensors")
+    longer = dataclasses.replace(config, iterations=4)
+    hashes = []
+    for name in ("run", "mixed"):
+        again = open_run(longer, tmp_path / name)
+        go_on(longer, again, lambda: None)
+        hashes.append(hash_nets(*again.learner.nets().values()))
+    assert hashes[0] != hashes[1]
+
+
+def test_a_run_that_is_stopped_saves_and_a_finished_one_can_be_evaluated_again(tmp_path: Path) -> None:
+    config, stop = small(), Event()
+    run = open_run(config)
+    with pytest.raises(Stopped):
+        go_on(config, run, stop.set, stop)
+    assert run.learner.version == 1
+    path = tmp_path / "run"
+    assert invoke("train", str(EXPERIMENT), f"run={path}", *QUICK).exit_code == 0
+    numbers = tmp_path / "again.json"
+    assert invoke("evaluate", str(path), "--json", str(numbers)).exit_code == 0
+    first, again = (json.loads(file.read_text()) for file in (path / "result.json", numbers))
+    assert again["goals"] == first["goals"]
+    assert invoke("evaluate", str(path), 'grid.layouts=["rooms"]', "--json", str(numbers)).exit_code == 0
+    assert json.loads(numbers.read_text())["goals"] != first["goals"]
+    with pytest.raises(ValueError, match="which has no pages"):
+        invoke("reward", "toggle", str(path))

@@ -54,6 +54,25 @@ def test_a_step_saved_again_replaces_the_first(tmp_path: Path) -> None:
     assert (latest_checkpoint(tmp_path) / "net.safetensors").read_bytes() == b"new"
 
 
+def test_a_step_saved_twice_is_never_without_a_whole_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = save(tmp_path, 4)
+    rename, seen = Path.rename, []
+
+    def watched(self: Path, target: Path) -> Path:
+        seen.append(latest_checkpoint(tmp_path))
+        renamed = rename(self, target)
+        seen.append(latest_checkpoint(tmp_path))
+        return renamed
+
+    monkeypatch.setattr(Path, "rename", watched)
+    second = save(tmp_path, 4)
+    assert set(seen) == {first}
+    assert save(tmp_path, 4) == first != second
+    assert latest_checkpoint(tmp_path) == first
+
+
 @pytest.mark.parametrize("step", [1, 2])
 def test_a_crash_while_writing_leaves_the_older_one_the_latest(step: int, tmp_path: Path) -> None:
     older = save(tmp_path, 1)

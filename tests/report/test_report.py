@@ -135,8 +135,9 @@ def test_a_gridcraft_run_shows_its_returns_and_its_maps(tmp_path: Path) -> None:
     page = reported(path)
     for words in ("Go to Red. Avoid Blue.", "EPIC distance", "The learned reward as a map", "Return"):
         assert words in page.text
-    assert len(page.fetches) == 2  # the map and an empty icon
-    assert page.fetches[1].startswith("data:image/png;base64,iVBOR")
+    maps = re.findall(r'aria-label="(Go to [^"]*Mean reward by region[^"]*)"', (path / "report.html").read_text())
+    assert len(maps) == 6
+    assert maps[0].startswith("Go to Red. Avoid Green. Mean reward by region: red ")
     asked = command("reward", "inspect", path, "--task", "click-test", "--seed", "1")
     assert "which has no pages" in str(asked.exception)
 

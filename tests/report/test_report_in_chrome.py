@@ -15,7 +15,7 @@ from tests.report.examples import HOSTILE, SCALE, hostile_strip
 from tests.report.reader import Reader, Reading
 from tests.run.small import run
 
-pytestmark = [pytest.mark.chrome, pytest.mark.slow]
+pytestmark = [pytest.mark.chrome, pytest.mark.slow, pytest.mark.timeout(300)]  # five Chromes, one after the other
 
 WIDTHS = (390, 1400)
 

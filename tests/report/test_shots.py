@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from giirl.shots import MOST_LABELS, Box, draw_shot, number, place_labels, window_of
+from giirl.spec import Action, Verb
 from tests.report.examples import SCALE, TWO, judged, page
 
 WINDOW = Box(0, 50, 160, 160)
@@ -53,6 +56,15 @@ def test_without_a_reward_the_policy_is_drawn_alone() -> None:
     assert (shot.marks, shot.labels) == ((), ())
     assert shot.target == Box(10, 90, 60, 20)
     assert "Cancel" in shot.does
+
+
+def test_what_is_typed_stands_behind_what_the_field_holds() -> None:
+    field = page(("input_text", "", (10, 60, 100, 20)))
+    typing = Action(verb=Verb.TYPE, element=0, start=0, end=1)
+    empty = draw_shot(field, replace(judged(), choice=typing), SCALE)
+    full = draw_shot(replace(field, value=("Ada",)), replace(judged(), choice=typing), SCALE)
+    assert empty.typed == full.typed == "Click on"
+    assert empty.typed_x < 20 < full.typed_x < 100
 
 
 @pytest.mark.parametrize(("reward", "text"), [(0.04, "0.0"), (-0.04, "0.0"), (1.26, "+1.3"), (-5, "\N{MINUS SIGN}5.0")])

@@ -14,11 +14,11 @@ import pytest
 
 import giirl.run_serial as serial
 from browser_farm.fake import FakeFarm
-from giirl.run import Stopped
 from giirl.run_evaluate import result_table
 from giirl.run_folder import RunFolder
 from giirl.run_serial import SerialRuntime
 from giirl.spec import Command, Episode, Outcome, StepResult
+from giirl.stopping import Stopped
 from learner.checkpoint import latest_checkpoint
 from tests.run.small import run
 

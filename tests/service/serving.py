@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giirl.metrics import Metrics
-from giirl.scoring import ScoreClient
+from giirl.score_client import ScoreClient
 from giirl.spec import Trajectory, Weights
 from reward_service.service import RewardService, Scorer
 from tests.wire.examples import episode
@@ -35,7 +35,7 @@ def trajectory(steps: int = 2) -> Trajectory:
 @contextmanager
 def serving(service: RewardService) -> Iterator[RewardService]:
     stop = threading.Event()
-    thread = threading.Thread(target=service.serve_forever, args=(stop,))
+    thread = threading.Thread(target=service.serve, args=(stop.is_set,))
     thread.start()
     try:
         yield service

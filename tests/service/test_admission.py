@@ -2,71 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from giirl import delivery, wire
-from giirl.delivery import Grant
-from giirl.metrics import Metrics
+from giirl.delivery import Grant, Notice
 from giirl.wire import Stamp, WireError
-from learner.admission import Admission, IngestLimits
-from learner.held import Held
-from tests.wire.examples import assert_same_episode, episode
-
-
-class Learner:
-    """An admission with a clock of versions, and the words to talk to it."""
-
-    def __init__(self, *, credits_: int = 4, max_lag: int = 8, held: Held | None = None) -> None:
-        self.version = 3
-        self.metrics = Metrics()
-        self.books = Admission(
-            "run",
-            lambda: self.version,
-            reward_version=lambda: self.version,
-            limits=IngestLimits(credits=credits_, max_lag=max_lag),
-            metrics=self.metrics,
-            held=held or Held(),
-        )
-
-    def hello(self, base: int = 0, *, actor: str = "a", incarnation: int = 0, run: str = "run") -> str:
-        stamp = Stamp(run=run, actor=actor, incarnation=incarnation, sequence=base)
-        return self._said(actor, delivery.encode_notice(delivery.HELLO, stamp))
-
-    def episode(
-        self,
-        sequence: int,
-        *,
-        actor: str = "a",
-        incarnation: int = 0,
-        run: str = "run",
-        policy_version: int = 3,
-    ) -> str:
-        stamp = Stamp(run=run, actor=actor, incarnation=incarnation, sequence=sequence)
-        sent = episode(1, seed=sequence, policy_version=policy_version, reward_version=2)
-        return self._said(actor, wire.encode_episode(sent, stamp=stamp))
-
-    def _said(self, actor: str, frames: list[bytes]) -> str:
-        answer = self.books.hear(actor.encode(), frames)
-        if answer is None:
-            return ""
-        header, _ = wire.decode(answer)
-        return str(header.get("reason", header["kind"]))
-
-    def grant(self, actor: str = "a") -> Grant:
-        told = dict(self.books.grants())
-        return delivery.read_grant(wire.decode(told[actor.encode()])[0])
-
-    def count(self, name: str, **labels: str) -> float:
-        return self.metrics.registry.get_sample_value(f"giirl_trajectories_{name}_total", labels) or 0.0
-
-    def dropped(self, reason: str) -> float:
-        return self.count("dropped", reason=reason)
-
-    def seeds(self, episodes: int) -> list[int]:
-        return [e.trajectory.seed for e in self.books.pull(episodes) or []]
+from learner.admission import IngestLimits
+from tests.service.admitting import Learner
+from tests.wire.examples import episode
 
 
 def test_episodes_are_pulled_in_order_of_arrival() -> None:
@@ -92,7 +40,7 @@ def test_whatever_the_order_and_however_often_each_episode_is_taken_once(arrival
 
 
 def test_credits_come_back_only_as_the_learner_takes() -> None:
-    learner = Learner(credits_=2)
+    learner = Learner(credits=2)
     learner.hello()
     assert learner.grant().limit == 2
     learner.episode(0)
@@ -107,7 +55,7 @@ def test_credits_come_back_only_as_the_learner_takes() -> None:
 
 
 def test_a_gap_holds_the_floor_but_not_the_credits() -> None:
-    learner = Learner(credits_=2)
+    learner = Learner(credits=2)
     learner.hello()
     learner.episode(1)
     learner.seeds(1)
@@ -160,7 +108,7 @@ def test_an_episode_too_many_versions_away_is_dropped_on_arrival(version: int, t
 
 
 def test_an_episode_that_grows_stale_in_the_queue_is_dropped_there_and_frees_its_credit() -> None:
-    learner = Learner(max_lag=2, credits_=2)
+    learner = Learner(max_lag=2, credits=2)
     learner.hello()
     learner.episode(0)
     assert learner.books.pull(2) is None  # taken out of the queue, and still waited with
@@ -172,12 +120,30 @@ def test_an_episode_that_grows_stale_in_the_queue_is_dropped_there_and_frees_its
     assert learner.grant().limit == 4
 
 
-def test_lock_step_takes_nothing_but_the_present_version() -> None:
-    learner = Learner(max_lag=0)
+def test_lock_step_takes_the_present_version_alone_each_page_once_and_in_an_order_of_its_own() -> None:
+    learner = Learner(max_lag=0, credits=8)
     learner.hello()
-    learner.episode(0, policy_version=2)
-    learner.episode(1, policy_version=3)
-    assert learner.seeds(1) == [1]
+    for sequence in (0, 3, 2):
+        learner.episode(sequence, policy_version=2 if sequence == 0 else 3)
+    learner.hello(actor="a", incarnation=1)  # plays its share again
+    for sequence in (2, 1):
+        learner.episode(sequence, incarnation=1)
+    assert learner.seeds(3) == [1, 2, 3]
+    assert (learner.dropped("stale"), learner.dropped("repeated")) == (1, 1)
+
+
+def test_a_queue_that_is_full_takes_nothing_more_until_it_has_room() -> None:
+    learner = Learner(credits=8, max_bytes=1)
+    learner.hello()
+    learner.hello(actor="b")
+    learner.episode(0)
+    assert learner.grant().limit == 1
+    learner.episode(0, actor="b")
+    assert learner.dropped("over_credit") == 1
+    assert learner.seeds(1) == [0]
+    assert learner.grant("b").limit == 8  # told to everyone, asked or not
+    learner.episode(0, actor="b")
+    assert learner.seeds(1) == [0]
 
 
 def test_malformed_messages_are_counted_and_forgotten() -> None:
@@ -197,57 +163,14 @@ def test_a_whole_message_with_an_impossible_episode_is_judged_invalid_and_not_as
     header, arrays = wire.decode(wire.encode_episode(episode(1), stamp=stamp))
     learner.books.hear(b"a", wire.encode(header, {**arrays, "element": np.array([77], np.int32)}))
     learner.episode(1, policy_version=-1)  # a demonstration is no rollout
+    assert learner.books.pull(1) is None
     assert learner.dropped("invalid") == 2
     assert learner.grant().floor == 2
     assert learner.books.queued == 0
 
 
-def test_a_checkpoint_brings_back_what_was_held_and_refuses_what_was_judged() -> None:
-    learner = Learner()
-    learner.hello()
-    for sequence in (0, 1, 3):
-        learner.episode(sequence)
-    learner.seeds(1)
-    held = learner.books.snapshot()
-    resumed = Learner(held=held)
-    assert resumed.episode(1) == "who"
-    resumed.hello()
-    grant = resumed.grant()
-    assert (grant.floor, grant.judged, grant.committed) == (2, (3,), 2)
-    for sequence in (0, 1, 2, 3):
-        resumed.episode(sequence)
-    assert resumed.seeds(3) == [1, 3, 2]
-    assert resumed.dropped("duplicate") == 3
-    assert_same_episode(held.episodes[0], episode(1, seed=1, reward_version=2))
-
-
-def test_only_what_the_checkpoint_holds_is_committed() -> None:
-    learner = Learner()
-    learner.hello()
-    learner.episode(0)
-    held = learner.books.snapshot()
-    learner.episode(1)
-    assert learner.grant().committed == 0
-    learner.books.commit(held)
-    assert learner.grant().committed == 1
-    learner.hello(incarnation=1)
-    learner.books.commit(held)  # of an incarnation that is gone
-    assert learner.grant().committed == 0
-
-
-def test_episodes_an_actor_no_longer_has_and_nobody_saw_are_counted_as_lost() -> None:
-    learner = Learner()
-    learner.hello()
-    learner.episode(1)
-    learner.hello(4)
-    assert learner.dropped("lost") == 3  # 0, 2 and 3
-    assert learner.grant().floor == 4
-    learner.hello(2**40)  # in one stride
-    assert learner.dropped("lost") == 3 + 2**40 - 4
-
-
 def test_received_is_dropped_plus_taken_plus_queued() -> None:
-    learner = Learner(credits_=3, max_lag=1)
+    learner = Learner(credits=3, max_lag=1)
     learner.hello()
     learner.hello(actor="b", incarnation=1)
     for sequence, version in enumerate((3, 1, 3, 2, 3)):
@@ -278,8 +201,22 @@ def test_limits_that_let_nothing_in_are_refused() -> None:
 
 
 def test_a_grant_that_lacks_a_number_is_a_wire_error() -> None:
-    whole, _ = wire.decode(delivery.encode_grant(Grant(incarnation=1, floor=2, committed=0, limit=5)))
-    assert delivery.read_grant(whole) == Grant(incarnation=1, floor=2, committed=0, limit=5)
+    whole, _ = wire.decode(
+        delivery.encode_grant(Grant(incarnation=1, notice=7, floor=2, committed=0, settled=1, limit=5))
+    )
+    assert delivery.read_grant(whole) == Grant(incarnation=1, notice=7, floor=2, committed=0, settled=1, limit=5)
     for name in set(whole) - {"kind"}:
         with pytest.raises(WireError, match=name):
             delivery.read_grant({**whole, name: "1"})
+
+
+def test_a_notice_that_lacks_something_or_says_the_impossible_is_a_wire_error() -> None:
+    stamp = Stamp(run="run", actor="a", incarnation=2, sequence=1)
+    notice = Notice(kind=delivery.BEAT, stamp=stamp, number=3, finished=4, full=True, before=((0, 5), (1, 0)))
+    whole, _ = wire.decode(delivery.encode_notice(notice))
+    assert delivery.read_notice(whole, stamp) == notice
+    wrong: list[dict[str, Any]] = [{name: None} for name in ("number", "finished", "full", "before")]
+    wrong += [{"finished": 0}, {"number": -1}, {"before": [[2, 1]]}, {"before": [[0, -1]]}, {"before": [[0, 1, 2]]}]
+    for change in wrong:
+        with pytest.raises(WireError):
+            delivery.read_notice({**whole, **change}, stamp)

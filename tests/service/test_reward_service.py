@@ -12,7 +12,7 @@ import pytest
 
 from giirl import scoring, wire
 from giirl.metrics import Metrics
-from giirl.scoring import ScoreClient
+from giirl.score_client import ScoreClient
 from giirl.spec import Trajectory, Weights
 from giirl.transport import Dealer
 from reward_service.service import RewardService, Scorer, ServiceLimits
@@ -22,10 +22,10 @@ from tests.service.serving import WAIT_S, Rewards, counted, load, serving, settl
 def test_before_any_weights_the_client_is_told_so_and_asks_again_until_there_are_some() -> None:
     metrics = Metrics()
     with serving(RewardService(load, metrics=metrics)) as service:
-        hasty = ScoreClient(service.address, identity="a", timeout_s=1.0, retries=0)
+        hasty = ScoreClient([service.address], identity="a", timeout_s=1.0, retries=0)
         with closing(hasty), pytest.raises(TimeoutError, match="no weights yet"):
             hasty.score([trajectory()])
-        with closing(ScoreClient(service.address, identity="b", timeout_s=WAIT_S)) as client:
+        with closing(ScoreClient([service.address], identity="b", timeout_s=WAIT_S)) as client:
             client.submit("k", trajectory())
             before = counted(metrics, "no_weights")
             until(lambda: not client.poll() and counted(metrics, "no_weights") > before)
@@ -52,7 +52,7 @@ def test_older_corrupt_and_unfit_weights_are_refused_and_change_nothing() -> Non
         service.set_weights(Weights.seal(5, b"5"))  # the very same may come again
         assert service.version == 5
         assert metrics.registry.get_sample_value("giirl_weights_refused_total", {"network": "reward"}) == 4
-        with closing(ScoreClient(service.address, identity="a")) as client:
+        with closing(ScoreClient([service.address], identity="a")) as client:
             assert client.score([trajectory(1)])[0][0].tolist() == [5.0]
 
 
@@ -71,7 +71,7 @@ def test_a_swap_never_mixes_two_versions_in_one_answer() -> None:
         publisher.start()
         try:
             versions = []
-            with closing(ScoreClient(service.address, identity="a", timeout_s=WAIT_S)) as client:
+            with closing(ScoreClient([service.address], identity="a", timeout_s=WAIT_S)) as client:
                 for _ in range(50):
                     rewards, version = client.score([trajectory(1), trajectory(3)])
                     assert {float(r) for part in rewards for r in part} == {float(version)}
@@ -92,7 +92,7 @@ def test_a_flood_is_answered_overloaded_and_the_queue_stays_within_its_bound() -
         for number in range(8):
             assert dealer.send(scoring.encode_request(number, [trajectory(1)]), timeout_s=WAIT_S)
         time.sleep(0.2)  # until all of them have arrived
-        thread = threading.Thread(target=service.serve_forever, args=(stop,))
+        thread = threading.Thread(target=service.serve, args=(stop.is_set,))
         thread.start()
         try:
             replies = [scoring.decode_reply(dealer.recv(WAIT_S) or []) for _ in range(8)]
@@ -128,7 +128,7 @@ def test_malformed_messages_are_counted_and_the_service_goes_on() -> None:
                 reply = scoring.decode_reply(vandal.recv(WAIT_S) or [])
                 assert reply.request == 1
                 assert reply.error.startswith("invalid request: ")
-        with closing(ScoreClient(service.address, identity="a")) as client:
+        with closing(ScoreClient([service.address], identity="a")) as client:
             assert client.score([trajectory()])[0][0].tolist() == [2.0, 2.0]
     assert counted(metrics, "malformed") == 7
     assert counted(metrics, "ok") == 1
@@ -145,7 +145,7 @@ def test_one_strange_trajectory_does_not_spoil_the_batch_of_others(caplog: pytes
 
     service = RewardService(load_picky, limits=ServiceLimits(linger_s=0.2))
     service.set_weights(Weights.seal(0, b""))
-    with serving(service), closing(ScoreClient(service.address, identity="a")) as client:
+    with serving(service), closing(ScoreClient([service.address], identity="a")) as client:
         for steps in (1, 3, 2):
             client.submit(steps, trajectory(steps))
         answers = {key: rewards for key, rewards, _ in settled(client, 3)}
@@ -158,6 +158,6 @@ def test_one_strange_trajectory_does_not_spoil_the_batch_of_others(caplog: pytes
 def test_a_scorer_that_gives_the_wrong_thing_is_an_error_for_the_client(wrong: list[Rewards]) -> None:
     with serving(RewardService(lambda _: lambda _: wrong)) as service:
         service.set_weights(Weights.seal(0, b""))
-        client = ScoreClient(service.address, identity="a")
+        client = ScoreClient([service.address], identity="a")
         with closing(client), pytest.raises(TimeoutError, match="scoring failed: the scorer gave"):
             client.score([trajectory(2)])

@@ -5,9 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
+from actors.tally import Tally
 from actors.uplink import Refused, Uplink, UplinkLimits
 from giirl import delivery, wire
 from giirl.delivery import Grant
@@ -17,10 +21,18 @@ from giirl.transport import Dealer, Router
 from learner.admission import IngestLimits
 from learner.held import Held
 from learner.ingest import Ingest
-from tests.wire.examples import episode
+from tests.wire.examples import STAMP, episode
 
 WAIT_S = 20.0
-QUICK = UplinkLimits(resend_s=0.1, beat_s=0.05, hello_s=0.05)
+QUICK = UplinkLimits(beat_s=0.05, hello_s=0.05)
+FOLDER: list[Path] = []
+
+
+@pytest.fixture(autouse=True)
+def _folder(tmp_path: Path) -> Iterator[None]:
+    FOLDER.append(tmp_path)
+    yield
+    FOLDER.clear()
 
 
 @contextmanager
@@ -32,8 +44,11 @@ def ingesting(
         yield ingest
 
 
-def uplink(address: str, *, actor: str = "a", incarnation: int = 0, run: str = "run") -> Uplink:
-    return Uplink(address, run=run, actor=actor, incarnation=incarnation, limits=QUICK)
+def uplink(
+    address: str, *, actor: str = "a", incarnation: int = 0, run: str = "run", limits: UplinkLimits = QUICK
+) -> Uplink:
+    tally = Tally(FOLDER[-1] / actor, incarnation)
+    return Uplink(address, run=run, actor=actor, incarnation=incarnation, tally=tally, limits=limits)
 
 
 def until(condition: Callable[[], bool], *lines: Uplink) -> None:
@@ -43,6 +58,10 @@ def until(condition: Callable[[], bool], *lines: Uplink) -> None:
             line.poll()
         assert time.monotonic() < deadline_s
         time.sleep(0.002)
+
+
+def dropped(metrics: Metrics, reason: str) -> float:
+    return metrics.registry.get_sample_value("giirl_trajectories_dropped_total", {"reason": reason}) or 0.0
 
 
 def port_of(ingest: Ingest) -> int:
@@ -85,9 +104,9 @@ def test_an_actor_pauses_while_the_learner_takes_nothing() -> None:
 
 def test_a_freed_credit_is_told_at_once_and_not_at_the_next_beat(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("learner.ingest.TICK_S", 600.0)
-    slow = UplinkLimits(resend_s=600, beat_s=600, hello_s=600)
+    slow = UplinkLimits(beat_s=600, hello_s=600)
     with ingesting(credits_=1) as ingest:
-        line = Uplink(ingest.address, run="run", actor="a", incarnation=0, limits=slow)
+        line = uplink(ingest.address, limits=slow)
         with closing(line):
             line.offer(episode(1))
             line.offer(episode(1))
@@ -96,15 +115,21 @@ def test_a_freed_credit_is_told_at_once_and_not_at_the_next_beat(monkeypatch: py
             assert line.flush(WAIT_S)
 
 
-def test_an_uplink_holds_no_more_than_its_bound() -> None:
-    limits = UplinkLimits(pause_at=1, max_unjudged=2)
-    with closing(Uplink("127.0.0.1:1", run="run", actor="a", incarnation=0, limits=limits)) as line:
-        assert line.ready
+def test_an_actor_that_keeps_as_much_as_it_may_pauses_and_asks_for_a_checkpoint() -> None:
+    size = sum(map(len, wire.encode_episode(episode(1), stamp=STAMP)))
+    limits = UplinkLimits(pause_at=64, max_kept_bytes=4 * size, beat_s=0.05, hello_s=0.05)
+    with ingesting(credits_=64) as ingest, closing(uplink(ingest.address, limits=limits)) as line:
         line.offer(episode(1))
-        assert not line.ready
-        line.offer(episode(1))
-        with pytest.raises(ValueError, match="play only while `ready`"):
+        assert line.flush(WAIT_S)
+        assert not ingest.wants_commit
+        while line.ready:
             line.offer(episode(1))
+        until(lambda: ingest.wants_commit and not line.unjudged, line)
+        assert not line.ready
+        kept = line.kept
+        until(lambda: line.kept == kept, line)  # nothing is given up
+        ingest.committed(ingest.snapshot())
+        until(lambda: line.ready and not line.kept and not ingest.wants_commit, line)
 
 
 def test_a_take_in_vain_says_who_was_heard_and_keeps_what_came() -> None:
@@ -130,11 +155,9 @@ def test_a_copy_is_kept_until_a_checkpoint_covers_it() -> None:
         until(lambda: line.kept == 1, line)
 
 
-@pytest.mark.parametrize("resend_s", [0.1, 600.0])
-def test_a_learner_that_resumes_gets_what_it_had_not_saved_and_nothing_twice(resend_s: float) -> None:
-    limits = UplinkLimits(resend_s=resend_s, beat_s=0.05, hello_s=0.05)
+def test_a_learner_that_resumes_gets_what_it_had_not_saved_and_nothing_twice() -> None:
     with ingesting() as first:
-        line = Uplink(first.address, run="run", actor="a", incarnation=0, limits=limits)
+        line = uplink(first.address)
         port = port_of(first)
         for seed in range(3):
             line.offer(episode(1, seed=seed))
@@ -154,20 +177,58 @@ def test_a_learner_that_resumes_gets_what_it_had_not_saved_and_nothing_twice(res
             second.take(1, 0.3)  # nothing comes again, though time enough to resend has gone by
 
 
-def test_a_replaced_actor_is_told_and_its_successor_goes_on() -> None:
+def test_a_replaced_actor_can_finish_nothing_and_what_it_took_with_it_is_counted() -> None:
     metrics = Metrics()
-    with (
-        ingesting(metrics=metrics) as ingest,
-        closing(uplink(ingest.address, incarnation=0)) as old,
-        closing(uplink(ingest.address, incarnation=1)) as new,
-    ):
+    with ingesting(metrics=metrics) as ingest, closing(uplink(ingest.address, incarnation=0)) as old:
         old.offer(episode(1, seed=1))
         assert old.flush(WAIT_S)
-        new.offer(episode(1, seed=2))
-        assert new.flush(WAIT_S)
-        with pytest.raises(Refused, match=r"actor 'a', incarnation 0, .*fenced"):
-            until(lambda: False, old)
-        assert [e.trajectory.seed for e in ingest.take(2, WAIT_S)] == [1, 2]
+        for _ in range(5):  # one of them waits with the actor when it stalls
+            old.offer(episode(1))
+        until(lambda: old.unjudged == 2, old)
+        with closing(uplink(ingest.address, incarnation=1)) as new:
+            new.offer(episode(1, seed=2))
+            with pytest.raises(Refused, match="incarnation 1 has taken over"):
+                old.offer(episode(1))
+            until(lambda: dropped(metrics, "lost") == 2, new)
+            with pytest.raises(Refused, match=r"actor 'a', incarnation 0, .*fenced"):
+                until(lambda: False, old)
+            assert new.flush(WAIT_S)
+        assert ingest.snapshot().counts == {"lost": 2}
+
+
+def test_an_actor_that_leaves_waits_for_the_checkpoint_that_frees_it() -> None:
+    with ingesting() as ingest:
+        line = uplink(ingest.address)
+        line.offer(episode(1))
+        assert not line.settle(0.3)
+        assert ingest.wants_commit
+        held = ingest.snapshot()
+        ingest.committed(held)
+        assert line.settle(WAIT_S)
+        line.close()
+        until(lambda: ingest.silent_for_s("a") == float("inf"))
+        assert ingest.snapshot().counts == {}
+
+
+def test_an_actor_that_leaves_in_a_hurry_has_what_it_takes_along_counted() -> None:
+    metrics = Metrics()
+    with ingesting(metrics=metrics, credits_=1) as ingest:
+        line = uplink(ingest.address)
+        for _ in range(3):
+            line.offer(episode(1))
+        until(lambda: line.unjudged == 2, line)
+        line.close()
+        until(lambda: dropped(metrics, "lost") == 2)
+        assert ingest.queued == 1
+
+
+def test_an_actor_follows_its_learner_to_another_address() -> None:
+    with ingesting() as first, closing(uplink(first.address)) as line:
+        line.offer(episode(1, seed=1))
+        assert line.flush(WAIT_S)
+        with ingesting() as second:
+            line.redirect(second.address)
+            assert [e.trajectory.seed for e in _take_with(second, 1, line)] == [1]
 
 
 def test_an_actor_of_another_run_is_told() -> None:
@@ -175,6 +236,19 @@ def test_an_actor_of_another_run_is_told() -> None:
         with pytest.raises(Refused, match="other_run"):
             until(lambda: False, line)
         assert ingest.queued == 0
+
+
+def test_an_actor_is_not_refused_for_what_another_said_in_its_name() -> None:
+    with closing(Router()) as router, closing(uplink(router.address)) as line:
+        line.offer(episode(1))
+        until(lambda: router.poll(0.005), line)
+        peer, _ = router.recv(0.0) or (b"", [])
+        for stamp in (replace(STAMP, actor="a", incarnation=0), replace(STAMP, run="run", actor="a", incarnation=1)):
+            router.send(peer, delivery.encode_refused(delivery.FENCED, stamp))
+        stamp = replace(STAMP, run="run", actor="a", incarnation=0)
+        router.send(peer, delivery.encode_refused(delivery.OTHER_RUN, stamp))
+        with pytest.raises(Refused, match="other_run"):
+            until(lambda: False, line)
 
 
 def test_junk_on_the_socket_stops_nobody() -> None:
@@ -186,39 +260,33 @@ def test_junk_on_the_socket_stops_nobody() -> None:
             line.offer(episode(1, seed=6))
             assert line.flush(WAIT_S)
             assert [e.trajectory.seed for e in ingest.take(1, WAIT_S)] == [6]
-    dropped = metrics.registry.get_sample_value("giirl_trajectories_dropped_total", {"reason": "damaged"})
-    assert dropped == 3
+    assert dropped(metrics, "damaged") == 3
 
 
-def test_an_episode_lost_on_the_way_is_sent_again() -> None:
-    def grant(floor: int) -> list[bytes]:
-        return delivery.encode_grant(Grant(incarnation=0, floor=floor, committed=0, limit=1))
-
+def test_an_episode_lost_on_the_way_is_sent_again_as_soon_as_that_is_certain() -> None:
     with closing(Router()) as router, closing(uplink(router.address)) as line:
         line.offer(episode(1))
         heard: list[str] = []
+        floor = 0
 
         def hear() -> bool:
+            nonlocal floor
             if (message := router.recv(0.005)) is not None:
-                heard.append(wire.decode(message[1])[0]["kind"])
+                header, _ = wire.decode(message[1])
+                heard.append(header["kind"])
                 router.send(message[0], [b"junk"])  # ignored
-                router.send(message[0], grant(floor=1 if heard.count(delivery.EPISODE) >= 3 else 0))
+                floor = int(heard.count(delivery.EPISODE) >= 3)
+                if "number" in header:
+                    grant = Grant(incarnation=0, notice=header["number"], floor=floor, committed=0, settled=0, limit=1)
+                    router.send(message[0], delivery.encode_grant(grant))
             return line.unjudged == 0
 
         until(hear, line)
         assert heard[0] == delivery.HELLO
-        assert heard.count(delivery.EPISODE) == 3
-
-
-def test_judged_copies_beyond_the_bound_are_forgotten_oldest_first_and_counted() -> None:
-    limits = UplinkLimits(max_kept=2, hello_s=0.05, beat_s=0.05)
-    with ingesting(credits_=8) as ingest:
-        line = Uplink(ingest.address, run="run", actor="a", incarnation=0, limits=limits)
-        with closing(line):
-            for seed in range(5):
-                line.offer(episode(1, seed=seed))
-            assert line.flush(WAIT_S)
-            assert (line.kept, line.forgotten) == (2, 3)
+        episodes = [place for place, kind in enumerate(heard) if kind == delivery.EPISODE]
+        assert len(episodes) == 3
+        for first, second in pairwise(episodes):
+            assert delivery.BEAT in heard[first:second]  # never on a mere suspicion
 
 
 def test_how_long_an_actor_has_been_silent_is_known() -> None:

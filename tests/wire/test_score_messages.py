@@ -43,7 +43,7 @@ def test_a_reply_that_contradicts_itself_is_a_wire_error() -> None:
     ):
         with pytest.raises(WireError):
             scoring.decode_reply(wire.encode(header, columns))
-    for field in ("request", "version", "error"):
+    for field in ("request", "version", "error", "backlog"):
         with pytest.raises(WireError, match=field):
             scoring.decode_reply(wire.encode({**header, field: None}, arrays))
 

@@ -1,0 +1,238 @@
+"""Actors and reward services as processes of their own, seen from the learner, which stays in this one.
+
+Trajectories and scores go over sockets (see `giirl.transport`), weights by whatever platform runs the processes.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+from giirl.config import Config
+from giirl.config_file import dump_config
+from giirl.metrics import Metrics
+from giirl.run_folder import RunFolder
+from giirl.spec import Episode, Weights
+from giirl.supervision import START_S, Call, Member, Platform, Process
+from giirl.transport import Keys
+from learner.admission import IngestLimits
+from learner.held import Held
+from learner.ingest import Ingest
+
+STOP_S = 10.0  # for processes to hand over and end
+LEAVE_S = 60.0  # for an actor that is removed to see a checkpoint cover all it played
+TEND_S = 0.5  # between two looks at the processes
+RUNTIME = "runtime.json"  # of a checkpoint
+
+
+class WorkersRuntime:
+    """The processes of one run."""
+
+    def __init__(
+        self,
+        config: Config,
+        folder: RunFolder,
+        platform: Platform,
+        metrics: Metrics,
+        stop: Event,
+        resume: Path | None,
+        save: Callable[[], None],
+    ) -> None:
+        self._config, self._folder, self._platform = config, folder, platform
+        self._metrics, self._stop, self._save_now = metrics, stop, save
+        self._version = 0
+        self._policy: Any = None
+        self._reward: Any = None
+        self._held = Held.load(resume) if resume else Held()
+        self._taken: int = json.loads((resume / RUNTIME).read_text())["taken"] if resume else 0
+        known = [mark.incarnation for mark in self._held.marks]
+        self._first = max([int(time.time()), *(incarnation + 1 for incarnation in known)])  # incarnations only grow
+        self._keys = None if platform.alone else Keys.keep(folder.keys)  # beyond loopback nobody talks without them
+        self._ingest = Ingest(
+            folder.path.name,
+            lambda: self._version,
+            reward_version=lambda: self._version,
+            host=platform.host,
+            limits=IngestLimits(credits=config.stream.credits, max_lag=config.stream.policy_lag),
+            keys=self._keys,
+            metrics=metrics,
+            held=self._held,
+        )
+        self._wanted = config.actors.count
+        self._services: list[Member] = []
+        self._actors: list[Member] = []
+        self._leavers: list[tuple[Member, float]] = []
+        self._scorers: list[str] = []
+        self._tended_s = float("-inf")
+
+    def publish(self, policy: Weights, reward: Weights) -> None:
+        """Hand new weights to everybody; the first ones start the processes."""
+        self._version = policy.version
+        self._policy, self._reward = self._platform.share(policy), self._platform.share(reward)
+        if not self._services:
+            self._services = [self._start_service(index) for index in range(self._config.scoring.replicas)]
+        for service in self._services:
+            service.load(self._reward)
+        for actor in self._actors:
+            actor.load(self._policy)
+        self._tend()
+
+    def take(self, episodes: int) -> list[Episode]:
+        """The next `episodes` that the actors finished; none when the run should end.
+
+        In lock-step a few more, so that every task has equally many.
+        """
+        if self._config.stream.policy_lag == 0:
+            episodes = self._config.quota * len(self._config.tasks)
+        timeout_s = self._config.stream.take_timeout_s
+        deadline_s = time.monotonic() + timeout_s
+        while not self._stop.is_set():
+            self._tend()
+            if self._ingest.wants_commit:
+                self._save_now()
+            try:
+                taken = self._ingest.take(episodes, TEND_S)
+            except TimeoutError as error:
+                if time.monotonic() > deadline_s:
+                    raise RuntimeError(
+                        f"fewer than {episodes} episodes came within {timeout_s:.0f} s (stream.take_timeout_s): "
+                        f"{error}{self._troubles()}"
+                    ) from None
+            else:
+                self._taken += len(taken)
+                return taken
+        return []
+
+    def addresses(self) -> dict[str, str]:
+        """Where each process answers scrapes, as far as known."""
+        return {member.name: member.addresses[0] for member in self._members if member.addresses}
+
+    def save(self, folder: Path) -> None:
+        """What the learner has accepted and not used yet, and what it has seen of every actor."""
+        self._held = self._ingest.snapshot()
+        self._held.save(folder)
+        (folder / RUNTIME).write_text(json.dumps({"taken": self._taken}))
+
+    def committed(self) -> None:
+        """The last `save` is safe on the disk: actors may forget what it covers."""
+        self._ingest.committed(self._held)
+
+    def drain(self) -> None:
+        """Let the actors hand over what they have finished, and end."""
+        for actor in self._actors:
+            actor.leaving = True
+            actor.tell("stop", 0.0)
+        self._outlast(self._actors, STOP_S)
+
+    def close(self) -> None:
+        """Let the processes end; whoever does not in time is ended."""
+        self.drain()
+        for service in self._services:
+            service.leaving = True
+            service.tell("stop")
+        self._outlast(self._services, STOP_S)
+        try:
+            for member in self._members:
+                member.process.kill(restart=False)
+            self._ingest.close()
+        finally:
+            self._platform.close()
+
+    @property
+    def _members(self) -> list[Member]:
+        return [*self._actors, *self._services, *(leaver for leaver, _ in self._leavers)]
+
+    def _start_service(self, index: int) -> Member:
+        name = f"reward-service-{index}"
+        process = self._platform.start("reward-service", name, 0, dump_config(self._config), self._keys)
+
+        def begin(process: Process, restarts: int) -> Call:
+            return process.call("rejoin" if process.found and not restarts else "run", self._reward)
+
+        return Member(name, process, begin, self._metrics)
+
+    def _start_actor(self, index: int) -> Member:
+        config, run, name = self._config, self._folder.path.name, f"actor-{index}"
+        # Without a folder that all nodes share an actor leaves its count on its node, for whoever comes after it there.
+        shared = self._folder.path / "actors" if self._platform.alone else Path(tempfile.gettempdir()) / "giirl" / run
+        words = (dump_config(config), run, index, str(shared.absolute() / f"{name}.tally"), self._keys)
+        process = self._platform.start("actor", name, 1, *words)
+
+        def begin(process: Process, restarts: int) -> Call:
+            method = "rejoin" if process.found and not restarts else "run"
+            incarnation = self._first + restarts
+            return process.call(
+                method, incarnation, self._taken, self._ingest.address, tuple(self._scorers), self._policy
+            )
+
+        return Member(name, process, begin, self._metrics)
+
+    def _tend(self) -> None:
+        """Start again what ended, replace what hangs, follow who comes and goes; too few actors end the run."""
+        for member in self._members:
+            member.tend()
+        if time.monotonic() - self._tended_s < TEND_S:
+            return
+        self._tended_s = time.monotonic()
+        scorers = [service.addresses[1] for service in self._services if service.addresses]
+        if scorers != self._scorers:
+            self._scorers = scorers
+            for actor in self._actors:
+                actor.tell("follow", tuple(scorers))
+        for actor in self._actors:
+            self._replace_if_silent(actor)
+        self._resize()
+        self._check_health()
+
+    def _replace_if_silent(self, actor: Member) -> None:
+        if actor.running is None or actor.given_up:
+            return
+        begun_s, silent_s = time.monotonic() - actor.since_s, self._ingest.silent_for_s(actor.name)
+        patience_s = self._config.actors.silence_s + (0.0 if silent_s < begun_s else START_S)
+        if min(begun_s, silent_s) > patience_s:
+            actor.replace(patience_s)
+
+    def _resize(self) -> None:
+        """As many actors as are wanted: the config's number, or what was asked for since."""
+        self._wanted = self._folder.wanted_actors() or self._wanted
+        while len(self._actors) < self._wanted:
+            self._actors.append(self._start_actor(len(self._actors)))
+        while len(self._actors) > self._wanted:
+            leaver = self._actors.pop()
+            leaver.leaving = True
+            leaver.tell("stop", LEAVE_S)
+            self._leavers.append((leaver, time.monotonic() + LEAVE_S + STOP_S))
+        for leaver, deadline_s in list(self._leavers):
+            if leaver.running is None or leaver.running.done() or time.monotonic() > deadline_s:
+                leaver.process.kill(restart=False)
+                self._leavers.remove((leaver, deadline_s))
+        self._metrics.workers.labels("actor").set(sum(actor.healthy for actor in self._actors))
+        self._metrics.workers.labels("reward-service").set(sum(service.healthy for service in self._services))
+
+    def _check_health(self) -> None:
+        if not any(service.healthy for service in self._services):
+            raise RuntimeError(f"no reward service stays up: {self._services[0].given_up}")
+        healthy = [actor for actor in self._actors if actor.healthy]
+        if len(healthy) < min(self._config.actors.minimum, self._wanted):
+            trouble = next(actor.given_up for actor in self._actors if actor.given_up)
+            raise RuntimeError(
+                f"{len(healthy)} of {len(self._actors)} actors are left, "
+                f"wanted {self._config.actors.minimum} (actors.minimum): {trouble}"
+            )
+
+    def _troubles(self) -> str:
+        """Who does not work, and why."""
+        idle = [f"{member.name}: {member.trouble}" for member in self._members if member.running is None]
+        return f"; {'; '.join(idle[:4])}; there are {self._platform.resources()}" if idle else ""
+
+    def _outlast(self, members: list[Member], timeout_s: float) -> None:
+        deadline_s = time.monotonic() + timeout_s
+        while any(member.running is not None and not member.running.done() for member in members):
+            if time.monotonic() > deadline_s:
+                return
+            time.sleep(0.05)

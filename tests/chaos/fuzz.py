@@ -1,0 +1,202 @@
+"""Spoiled messages and files without end: only the documented errors come of them, and memory does not grow.
+
+python -m tests.chaos.fuzz FOLDER FRAMES FILES writes FOLDER/fuzz.json. Half of the frames have their checksum mended
+after they were spoiled, and checkpoint files stand under a manifest that agrees with them, so that what lies behind
+checksums is reached too.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import logging
+import random
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+from browser_farm.recordings import read_recording
+from giirl import delivery, scoring, wire
+from giirl.config_file import load_config
+from giirl.delivery import Grant, Notice
+from giirl.metrics import Metrics
+from giirl.wire import PREFIX, WireError
+from learner.admission import Admission, IngestLimits
+from learner.held import BOOKS, QUEUE, Held, Mark
+from learner.learner import Learner
+from tests.run.small import config
+from tests.wire.examples import STAMP, episode
+
+Frames = list[bytes]
+WORDS = [b"\x00", b"\xff", b"\x7f\xff\xff\xff", b"\xff\xff\xff\xff", b"\x80", b"\xc0", b"\xdd\xff\xff\xff\xff", b"{}"]
+RECORDING = {
+    "taskName": "click-test",
+    "utterance": "Click the button.",
+    "states": [
+        {"time": 0, "action": None, "dom": {"tag": "BODY", "children": [{"tag": "BUTTON", "text": "Ok", "ref": 1}]}},
+        {"time": 9, "action": {"type": "click", "timing": 1, "x": 3, "y": 4}, "dom": {"tag": "BODY", "children": []}},
+    ],
+    "rawReward": 1,
+    "reward": 0.9,
+}
+
+
+def spoil(draw: random.Random, data: bytes) -> bytes:
+    """A few bytes changed, cut, doubled, put in or moved."""
+    spoiled = bytearray(data)
+    for _ in range(draw.choice([1, 1, 1, 2, 5])):
+        place, end = draw.randrange(len(spoiled) + 1), draw.randrange(len(spoiled) + 1)
+        match draw.randrange(6):
+            case 0 if spoiled:
+                spoiled[place % len(spoiled)] ^= 1 << draw.randrange(8)
+            case 1 if spoiled:
+                spoiled[place % len(spoiled)] = draw.randrange(256)
+            case 2:
+                del spoiled[place:end]
+            case 3:
+                spoiled[place:place] = spoiled[place : place + 16]
+            case 4:
+                spoiled[place:place] = draw.choice(WORDS)
+            case _:
+                word = draw.choice(WORDS)
+                spoiled[place : place + len(word)] = word
+    return bytes(spoiled)
+
+
+def spoil_frames(draw: random.Random, frames: Frames) -> Frames:
+    spoiled = list(frames)
+    place = draw.randrange(len(spoiled))
+    if draw.random() < 0.1:
+        spoiled = draw.choice([spoiled[:place], [*spoiled, b""], [*spoiled, spoiled[place]], spoiled[::-1]])
+    elif place == 0 and draw.random() < 0.8:
+        spoiled[0] = spoiled[0][: PREFIX.size] + spoil(draw, spoiled[0][PREFIX.size :])
+    else:
+        spoiled[place] = spoil(draw, spoiled[place])
+    if spoiled and len(spoiled[0]) >= PREFIX.size and draw.random() < 0.5:
+        magic, schema, _ = PREFIX.unpack_from(spoiled[0])
+        body = spoiled[0][PREFIX.size :]
+        mended = wire.checksum([body, *spoiled[1:]])
+        spoiled[0] = PREFIX.pack(magic, schema, mended) + body
+    return spoiled
+
+
+def messages() -> list[tuple[Frames, Callable[[Frames], object]]]:
+    """Every kind there is, and who reads it."""
+    notice = Notice(kind=delivery.HELLO, stamp=STAMP, number=3, finished=50, before=((0, 5), (1, 2)))
+    grant = Grant(incarnation=2, notice=3, floor=4, judged=(6, 9), committed=1, settled=1, limit=12)
+    books = Admission(
+        STAMP.run,
+        lambda: 3,
+        reward_version=None,
+        limits=IngestLimits(credits=4, max_bytes=1 << 20),
+        metrics=Metrics(),
+        held=Held(),
+    )
+    reply = scoring.ScoreReply(request=1, rewards=(np.ones(2, np.float32),), version=3, backlog=2)
+    whole = wire.encode_episode(episode(2), stamp=STAMP)
+
+    def hear(frames: Frames) -> None:
+        books.hear(b"peer", frames)
+        books.grants()
+        books.pull(1)
+
+    def ask(frames: Frames) -> None:
+        scoring.build_request(*wire.decode(frames))
+
+    return [
+        (whole, wire.decode_episode),
+        (whole, hear),
+        (delivery.encode_notice(notice), hear),
+        (delivery.encode_grant(grant), lambda frames: delivery.read_grant(wire.decode(frames)[0])),
+        (scoring.encode_request(1, [episode(2).trajectory, episode(1).trajectory]), ask),
+        (scoring.encode_reply(reply), scoring.decode_reply),
+    ]
+
+
+def files(folder: Path) -> list[tuple[Path, Callable[[Path], object]]]:
+    """Every kind of file that a run reads, and who reads it."""
+    demos = folder / "demos.giirl"
+    wire.write_episodes(demos, [episode(n, seed=n) for n in (1, 2)])
+    recording, packed = folder / "recording.json", folder / "recording.json.gz"
+    recording.write_text(json.dumps(RECORDING))
+    packed.write_bytes(gzip.compress(recording.read_bytes()))
+    checkpoint = folder / "checkpoint"
+    checkpoint.mkdir()
+    settings = config(folder / "run")
+    learner = Learner(settings, [replace(episode(2).trajectory, policy_version=-1)], Metrics())
+    learner.save(checkpoint)
+    held = Held(
+        episodes=(episode(1),), marks=(Mark(actor="a", incarnation=1, floor=2, judged=(4,)),), counts={"lost": 1}
+    )
+    held.save(checkpoint)
+    toml, saved = folder / "config.toml", folder / "config.json"
+    toml.write_text('seed = 3\ntasks = ["click-test"]\n[policy]\nentropy = 0.2\n[actors]\ncount = 2\n')
+    saved.write_text(json.dumps({"seed": 3, "tasks": ["click-test"], "policy": {"entropy": 0.2}}))
+    read: list[tuple[Path, Callable[[Path], object]]] = [
+        (demos, wire.read_episodes),
+        (recording, read_recording),
+        (packed, read_recording),
+        (toml, load_config),
+        (saved, load_config),
+        (checkpoint / BOOKS, lambda path: Held.load(path.parent)),
+        (checkpoint / QUEUE, lambda path: Held.load(path.parent)),
+    ]
+    for name in ("learner.json", "policy.safetensors", "reward_optimiser.safetensors", "replay.giirl"):
+        read.append((checkpoint / name, lambda path: learner.load(path.parent)))
+    return read
+
+
+def fuzz_frames(draw: random.Random, count: int) -> Counter[str]:
+    known = messages()
+    found: Counter[str] = Counter()
+    for _ in range(count):
+        frames, read = draw.choice(known)
+        try:
+            read(spoil_frames(draw, frames))
+            found["read"] += 1
+        except WireError:
+            found["WireError"] += 1
+        except Exception as error:  # noqa: BLE001 - what is looked for
+            found[f"{type(error).__name__}: {error!s:.200}"] += 1
+    return found
+
+
+def fuzz_files(draw: random.Random, folder: Path, count: int) -> Counter[str]:
+    known = [(path, path.read_bytes(), read) for path, read in files(folder)]
+    found: Counter[str] = Counter()
+    for _ in range(count):
+        path, whole, read = draw.choice(known)
+        path.write_bytes(spoil(draw, whole))
+        try:
+            read(path)
+            found["read"] += 1
+        except ValueError as error:
+            found["ValueError" if str(error) else f"{path.name}: an error without a word"] += 1
+        except Exception as error:  # noqa: BLE001 - what is looked for
+            found[f"{path.name}: {type(error).__name__}: {error!s:.200}"] += 1
+        path.write_bytes(whole)
+    return found
+
+
+def main() -> None:
+    folder, frames, count = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    logging.disable(logging.WARNING)
+    draw, since_s = random.Random(5), time.monotonic()
+    seen = {"frames": fuzz_frames(draw, frames // 4)}
+    before = psutil.Process().memory_info().rss
+    seen["frames"] += fuzz_frames(draw, frames - frames // 4)
+    growth = (psutil.Process().memory_info().rss - before) / 2**20
+    seen["files"] = fuzz_files(draw, folder, count)
+    told = {name: dict(found) for name, found in seen.items()}
+    result = {**told, "growth_mib": round(growth, 1), "seconds": round(time.monotonic() - since_s, 1)}
+    (folder / "fuzz.json").write_text(json.dumps(result, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

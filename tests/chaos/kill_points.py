@@ -1,0 +1,119 @@
+"""Runs that kill themselves with SIGKILL at a chosen moment, are resumed, and end in the same parameters or not.
+
+python -m tests.chaos.kill_points FOLDER serial|lock-step POINTS writes {"straight": HASH, "resumed": {POINT: HASH}} to
+FOLDER/result.json. Each run is a process of its own, forked from this one, which has loaded the libraries once. The
+browser is the fake one. In lock-step actors and reward service are threads of the run, so that one signal ends all of
+them, as it does where Ray runs on one machine; their sockets and messages are the real ones.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import giirl.run as giirl_run
+from giirl.run_workers import WorkersRuntime
+from learner.checkpoint import latest_checkpoint
+from tests.chaos.threads import ThreadPlatform
+from tests.run.small import run
+
+SETTINGS = {
+    "serial": ("runtime=serial",),
+    "lock-step": ("runtime=local", "stream.policy_lag=0", "stream.reward_lag=0", "actors.count=2", "stream.credits=2"),
+}
+FEW = ("iterations=6", "checkpoint_every=2", "keep_checkpoints=2", "evaluate.episodes=1", "evaluate.floor_episodes=1")
+# What a run does again and again, and where each of its calls is a moment at which it may die.
+MOMENTS: dict[str, tuple[Any, str]] = {
+    "take": (giirl_run.Session, "take"),  # while it waits for rollouts
+    "observe": (giirl_run.Session, "_observe"),  # between update and checkpoint
+    "publish": (giirl_run.Session, "_tell_targets"),  # with new weights at work
+    "write": (Path, "write_text"),  # a file of a checkpoint, or a pointer
+    "sync": (os, "fsync"),
+    "rename": (Path, "rename"),  # of a checkpoint into its place
+    "point": (Path, "replace"),  # of the pointer to the latest
+    "prune": (shutil, "rmtree"),
+}
+
+
+def points(count: int) -> list[str]:
+    """So many of all moments about the middle of a run, each named MOMENT-CALL."""
+    calls = {"take": 6, "observe": 6, "publish": 6, "write": 18, "sync": 60, "rename": 4, "point": 12, "prune": 2}
+    spread = [f"{moment}-{number}" for moment, last in calls.items() for number in range(last // 4, last)]
+    return [spread[place * len(spread) // count] for place in range(count)]
+
+
+def main() -> None:
+    folder, mode, count = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+    if mode == "lock-step":
+        giirl_run.open_runtime = _threads  # type: ignore[assignment]
+    hashes: dict[str, str] = {}
+    _fork(lambda: _train(mode, folder / "straight"))
+    for point in points(count):
+        path = folder / point
+        killed = _fork(lambda path=path, point=point: _die(mode, path, point))  # type: ignore[misc]
+        if killed == -signal.SIGKILL:
+            _fork(lambda path=path: _resume(mode, path))  # type: ignore[misc]
+        hashes[point] = _hash(path) if killed == -signal.SIGKILL else f"not killed: {killed}"
+    result = {"straight": _hash(folder / "straight"), "resumed": hashes}
+    (folder / "result.json").write_text(json.dumps(result))
+
+
+def _fork(child: Callable[[], None]) -> int:
+    """Run it in a process of its own; its exit status, or minus the signal that ended it."""
+    pid = os.fork()
+    if pid == 0:
+        try:
+            child()
+        except BaseException as error:  # noqa: BLE001 - the parent must not go on twice
+            os.write(2, f"{error!r}\n".encode())
+            os._exit(1)
+        os._exit(0)
+    _, status = os.waitpid(pid, 0)
+    return os.waitstatus_to_exitcode(status)
+
+
+def _train(mode: str, path: Path) -> None:
+    result = run(path, *SETTINGS[mode], *FEW)
+    (path / "result.json").write_text(json.dumps(result))
+
+
+def _die(mode: str, path: Path, point: str) -> None:
+    moment, _, number = point.partition("-")
+    owner, name = MOMENTS[moment]
+    original, left = getattr(owner, name), int(number)
+
+    def fatal(*args: Any, **kwargs: Any) -> Any:
+        nonlocal left
+        left -= 1
+        if left < 0 and (path / "checkpoints" / "latest").exists():
+            os.kill(os.getpid(), signal.SIGKILL)
+        return original(*args, **kwargs)
+
+    setattr(owner, name, fatal)
+    _train(mode, path)
+
+
+def _resume(mode: str, path: Path) -> None:
+    result = run(path, *SETTINGS[mode], *FEW, resume=latest_checkpoint(path / "checkpoints"))
+    (path / "result.json").write_text(json.dumps(result))
+
+
+def _hash(path: Path) -> str:
+    result = path / "result.json"
+    found: str = json.loads(result.read_text())["parameters_sha256"] if result.exists() else "no result"
+    shutil.rmtree(path)
+    return found
+
+
+def _threads(settings: Any, folder: Any, metrics: Any, stop: Any, resume: Any, save: Any) -> WorkersRuntime:
+    return WorkersRuntime(settings, folder, ThreadPlatform(), metrics, stop, resume, save)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,71 @@
+"""A platform of threads: what Ray starts as processes runs in this one, so that one SIGKILL ends all of it at once.
+
+Sockets, messages and everything in `giirl.run_processes` are the real ones; only the processes are simulated.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Future, TimeoutError
+from threading import Thread
+from typing import Any
+
+from giirl.run_processes import ActorProcess, RewardProcess
+from giirl.supervision import Gone
+
+KINDS = {"actor": ActorProcess, "reward-service": RewardProcess}
+
+
+class ThreadCall:
+    def __init__(self, method: Any, values: tuple[Any, ...]) -> None:
+        self._future: Future[Any] = Future()
+        Thread(target=self._run, args=(method, values), daemon=True).start()
+
+    def _run(self, method: Any, values: tuple[Any, ...]) -> None:
+        try:
+            self._future.set_result(method(*values))
+        except Exception as error:  # noqa: BLE001 - whoever asks for the result gets it
+            self._future.set_exception(error)
+
+    def done(self) -> bool:
+        return self._future.done()
+
+    def result(self, timeout_s: float) -> Any:
+        try:
+            return self._future.result(timeout_s)
+        except TimeoutError:
+            raise Gone(f"no answer within {timeout_s} s") from None
+        except Exception as error:
+            raise Gone(f"{type(error).__name__}: {error}") from error
+
+
+class ThreadProcess:
+    found = False
+
+    def __init__(self, kind: str, values: tuple[Any, ...]) -> None:
+        self._kind, self._values = kind, values
+        self._object: Any = KINDS[kind](*values)
+
+    def call(self, method: str, *values: Any) -> ThreadCall:
+        return ThreadCall(getattr(self._object, method), values)
+
+    def kill(self, *, restart: bool) -> None:
+        """A thread cannot be killed: it is left alone, and another takes its place."""
+        if restart:
+            self._object = KINDS[self._kind](*self._values)
+
+
+class ThreadPlatform:
+    host = "127.0.0.1"
+    alone = True
+
+    def start(self, kind: str, name: str, cpus: int, *values: Any) -> ThreadProcess:
+        return ThreadProcess(kind, values)
+
+    def share(self, value: Any) -> Any:
+        return value
+
+    def resources(self) -> str:
+        return "threads"
+
+    def close(self) -> None:
+        return

@@ -1,0 +1,65 @@
+"""A whole run over real sockets, its processes played by threads: lock-step, actors that come and go, replicas."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import giirl.run as giirl_run
+from giirl.run_folder import RunFolder
+from giirl.run_workers import WorkersRuntime
+from giirl.spec import Episode
+from tests.chaos.threads import ThreadPlatform
+from tests.run.small import run
+
+LOCK_STEP = ("runtime=local", "stream.policy_lag=0", "stream.reward_lag=0", "actors.tabs=2")
+FEW = ("iterations=3", "evaluate.episodes=1", "evaluate.floor_episodes=1")
+
+
+@pytest.fixture
+def runtimes(monkeypatch: pytest.MonkeyPatch) -> list[WorkersRuntime]:
+    """Those that runs opened, in threads instead of processes."""
+    opened: list[WorkersRuntime] = []
+
+    def open_runtime(config: Any, folder: Any, metrics: Any, stop: Any, resume: Any, save: Any) -> WorkersRuntime:
+        opened.append(WorkersRuntime(config, folder, ThreadPlatform(), metrics, stop, resume, save))
+        return opened[-1]
+
+    monkeypatch.setattr(giirl_run, "open_runtime", open_runtime)
+    return opened
+
+
+def test_lock_step_over_sockets_gives_the_same_bits_whoever_is_quicker(
+    runtimes: list[WorkersRuntime], tmp_path: Path
+) -> None:
+    first = run(tmp_path / "a", *LOCK_STEP, *FEW, "actors.count=2", "scoring.replicas=2")
+    second = run(tmp_path / "b", *LOCK_STEP, *FEW, "actors.count=2", "stream.credits=1")
+    assert first["parameters_sha256"] == second["parameters_sha256"]
+    assert len(runtimes) == 2
+
+
+def test_actors_are_added_and_removed_while_a_run_goes_on(
+    runtimes: list[WorkersRuntime], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take = WorkersRuntime.take
+    heard: list[list[str]] = []
+
+    def resizing(self: WorkersRuntime, episodes: int) -> list[Episode]:
+        wanted = {2: 3, 5: 1}.get(len(heard))
+        if wanted:
+            folder = RunFolder(tmp_path / "run")
+            folder.write(folder.wanted, str(wanted))
+        taken = take(self, episodes)
+        heard.append(sorted(name for name in self.addresses() if name.startswith("actor")))
+        return taken
+
+    monkeypatch.setattr(WorkersRuntime, "take", resizing)
+    monkeypatch.setattr("giirl.run_workers.TEND_S", 0.01)
+    run(tmp_path / "run", "runtime=local", "iterations=30", "evaluate.episodes=1", "evaluate.floor_episodes=1")
+    numbers = [len(names) for names in heard]
+    assert (numbers[0], max(numbers)) == (1, 3)
+    assert [actor.name for actor in runtimes[0]._actors] == ["actor-0"]  # the others were told to leave
+    held = runtimes[0]._ingest.snapshot()
+    assert {mark.actor for mark in held.marks} == {"actor-0", "actor-1", "actor-2"}
