@@ -34,6 +34,7 @@ def test_the_same_settings_are_the_same_run_and_a_follower_waits_for_its_own_see
         assert run.config.reward_from == expected
 
 
+@pytest.mark.slow
 def test_runs_are_done_once_and_one_that_fails_does_not_stop_the_others(tmp_path: Path) -> None:
     settings = [*SETTINGS, "iterations=2"]
     broken = Variant(name="broken", changes=("demos.source=file", f"demos.path={tmp_path / 'none'}"))

@@ -40,6 +40,7 @@ def test_lock_step_over_sockets_gives_the_same_bits_whoever_is_quicker(
     assert len(runtimes) == 2
 
 
+@pytest.mark.slow
 def test_actors_are_added_and_removed_while_a_run_goes_on(
     runtimes: list[WorkersRuntime], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
