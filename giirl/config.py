@@ -180,9 +180,7 @@ class GridConfig:
     chance_episodes: Positive = 100  # played by chance before learning, kept for good
     batch: Positive = 256  # steps per soft Q update
     target_rate: Annotated[float, Field(gt=0, le=1)] = 0.05  # how fast the net that acts and sets targets follows Q's
-    form: Literal["plain", "airl"] = "plain"  # of the discriminator; "airl" is Fu, Luo and Levine's (2018)
     absorbing: bool = False  # whether an episode's end is a state that is judged too
-    slow: Literal["time", "accuracy"] = "time"  # what lowers the discriminator's learning rate to its final rate
     measure_every: Positive = 5  # iterations between exact measurements of the policy
 
 

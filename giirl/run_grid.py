@@ -138,7 +138,6 @@ def go_on(config: Config, run: GridRun, after_step: Callable[[], None], stop: Ev
         nonlocal began_s
         run.cpu_s += time.process_time() - began_s
         learner.version = step + 1
-        learner.accuracy = stats.get("d_accuracy_rollouts", learner.accuracy)
         if learner.version % config.grid.measure_every == 0 or learner.version == config.iterations:
             returns = [round(got, 6) for got in policy_fractions(config, learner, run.source.world)]
             named = dict(zip(map(plain_sentence, learner.pairs), returns, strict=True))

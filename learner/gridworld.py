@@ -19,6 +19,7 @@ from giirl.language import BagOfWords
 from giirl.parameters import load_net, load_optimiser, seal_net, seal_optimiser
 from giirl.reward import reward_of
 from giirl.spec import Weights
+from learner.annealing import anneal, anneal_reward
 from learner.grid_nets import PotentialNet, QNet, RewardNet, Sight, one_hot
 from learner.grid_steps import NOTHING, GridDemos, Index, Steps, chance_steps, expert_steps
 from learner.losses import gradient_penalty, logistic_loss
@@ -32,7 +33,7 @@ class GridDiscriminator:
 
     def __init__(self, config: Config, sight: Sight, demos: GridDemos, chance: Steps, rng: np.random.Generator) -> None:
         self.config: DiscriminatorConfig = config.discriminator
-        self._grid, self._gamma = config.grid, config.policy.gamma
+        self._gamma = config.policy.gamma
         self._sight, self._demos, self._chance, self._rng = sight, demos, chance, rng
         self.net = RewardNet(sight.width, config.net.width)
         self.potential = PotentialNet(sight.width, config.net.width)
@@ -43,12 +44,14 @@ class GridDiscriminator:
             fused=True,
         )
         self.old = NOTHING
+        self.accuracy = 1.0  # share of the newest rollouts that it took for the policy's
 
     def update(self, expert: Steps, rollouts: Steps, policy: QNet) -> dict[str, float]:
         """Train on fresh draws from each source; returns the loss and the share of each source judged rightly."""
         stats: dict[str, float] = {}
         for _ in range(self.config.updates):
             stats = self._descend(self._sources(expert, rollouts, policy), policy)
+        self.accuracy = stats.get("d_accuracy_rollouts", self.accuracy)
         kept = self.config.replay_size * HORIZON
         self.old = Steps.join([self.old, rollouts])
         self.old = self.old.pick(np.arange(max(len(self.old) - kept, 0), len(self.old)))
@@ -91,7 +94,7 @@ class GridDiscriminator:
         for tensor in inputs:
             tensor.requires_grad_(config.gradient_penalty > 0)
         logits = self.net(*inputs)
-        if self._grid.form == "airl":
+        if config.form == "airl":
             logits = logits + self._shaping(steps, inputs[0], policy)
         parts = dict(zip(sources, logits.split([len(s) for _, s in sources.values()]), strict=True))
         loss = logistic_loss(parts[EXPERT], [(w, parts[name]) for name, (w, _) in sources.items() if name != EXPERT])
@@ -201,7 +204,6 @@ class GridLearner:
 
     def __init__(self, config: Config, world: World, pairs: Sequence[Pair]) -> None:
         torch.manual_seed(config.seed)
-        self.accuracy = 1.0  # of the discriminator on the newest rollouts
         self.version = 0  # steps done
         self.config, self.pairs, self.rng = config, tuple(pairs), np.random.default_rng([config.seed, 0])
         grid = config.grid
@@ -227,17 +229,10 @@ class GridLearner:
         return episodes
 
     def anneal(self, step: int) -> None:
-        """Set the learning rates of step 0 .. iterations - 1; they fall with time.
-
-        With `grid.slow` "accuracy" the discriminator's falls with its share of right judgements on the newest
-        rollouts instead: it is at its final rate where it cannot tell them from the expert any more.
-        """
+        """Set the learning rates of step 0 .. iterations - 1."""
         done = step / max(self.config.iterations - 1, 1)
-        by_accuracy = self.config.grid.slow == "accuracy"
-        beaten = min(max(2.0 - 2.0 * self.accuracy, 0.0), 1.0) if by_accuracy else done
-        for part, fallen in ((self.discriminator, beaten), (self.policy, done)):
-            for group in part.optimiser.param_groups:
-                group["lr"] = part.config.learning_rate * (1 - fallen * (1 - part.config.final_rate))
+        anneal_reward(self.discriminator, done)
+        anneal(self.policy, done)
 
     @property
     def acting(self) -> QNet:
@@ -261,7 +256,7 @@ class GridLearner:
             (folder / f"{name}_optimiser.safetensors").write_bytes(seal_optimiser(part.optimiser))
         (folder / "reward_replay.safetensors").write_bytes(self.discriminator.old.seal())
         (folder / "policy_replay.safetensors").write_bytes(self.policy.old.seal())
-        state = {"version": self.version, "accuracy": self.accuracy, "draw": self.rng.bit_generator.state}
+        state = {"version": self.version, "accuracy": self.discriminator.accuracy, "draw": self.rng.bit_generator.state}
         (folder / "learner.json").write_text(json.dumps(state, indent=2))
 
     def load(self, folder: Path) -> None:
@@ -274,7 +269,7 @@ class GridLearner:
         self.discriminator.old = Steps.unseal((folder / "reward_replay.safetensors").read_bytes())
         self.policy.old = Steps.unseal((folder / "policy_replay.safetensors").read_bytes())
         self.rng.bit_generator.state = state["draw"]
-        self.version, self.accuracy = state["version"], state["accuracy"]
+        self.version, self.discriminator.accuracy = state["version"], state["accuracy"]
 
     def _saved_nets(self) -> dict[str, nn.Module]:
         return {**self.nets(), "q": self.policy.q}

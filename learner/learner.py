@@ -20,6 +20,7 @@ from giirl.reward import build_policy, build_reward
 from giirl.spec import Episode, Outcome, Trajectory, Weights
 from giirl.wire import read_episodes, write_episodes
 from learner.actor_critic import ActorCritic
+from learner.annealing import anneal, anneal_reward
 from learner.cloning import Cloner
 from learner.discriminator import Discriminator
 from learner.examples import Example, ExpertSampler, Replay, study
@@ -64,21 +65,11 @@ class Learner:
         return [torch.from_numpy(example.trajectory.rewards) for example in rollouts]
 
     def anneal(self, step: int) -> None:
-        """Set the learning rates of step 0 .. iterations - 1: a reward that still moves unsettles a solved policy.
-
-        With `discriminator.slow` "accuracy" the discriminator's falls as the policy improves instead: it is at its
-        final rate where it cannot tell the newest rollouts from the expert any more.
-        """
+        """Set the learning rates of step 0 .. iterations - 1: a reward that still moves unsettles a solved policy."""
         done = step / max(self.config.iterations - 1, 1)
-        beaten = min(max(2.0 - 2.0 * self.discriminator.accuracy, 0.0), 1.0)
-        by_accuracy = self.config.discriminator.slow == "accuracy"
-        for part, fallen in (
-            (self.discriminator, beaten if by_accuracy else done),
-            (self.policy, done),
-            (self.soft_q, done),
-        ):
-            for group in part.optimiser.param_groups:
-                group["lr"] = part.config.learning_rate * (1 - fallen * (1 - part.config.final_rate))
+        anneal_reward(self.discriminator, done)
+        anneal(self.policy, done)
+        anneal(self.soft_q, done)
 
     def cloning_start(self) -> None:
         """Clone for `policy.cloning_start` updates before anything else; none by default."""

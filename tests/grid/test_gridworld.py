@@ -70,9 +70,9 @@ def test_the_seed_fixes_every_number_and_another_seed_changes_them() -> None:
 @pytest.mark.parametrize(
     "config",
     [
-        with_grid(form="airl"),
+        with_discriminator(form="airl"),
         with_grid(absorbing=True),
-        with_grid(slow="accuracy"),
+        with_discriminator(slow="accuracy"),
         with_grid(whole_map=True),
         with_grid(sentences="all", order=1, neighbours=True),
         with_discriminator(reward="d"),
@@ -189,7 +189,7 @@ def test_tables_are_what_the_nets_say_state_by_state() -> None:
 
 
 def test_airls_reward_leaves_the_shaping_out_and_its_logit_does_not() -> None:
-    learner = GridLearner(with_grid(form="airl"), WORLD, PAIRS)
+    learner = GridLearner(with_discriminator(form="airl"), WORLD, PAIRS)
     steps, d = learner.demos.sample(1), learner.discriminator
     seen = learner.sight(steps.state, steps.goal)
     got = d._shaping(steps, seen, learner.policy.net)
