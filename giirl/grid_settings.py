@@ -28,17 +28,17 @@ def thesis(seed: int = 0) -> Config:
             updates=8,
             batch=64,
             clip=8.0,
-            gradient_penalty=0.1,
+            gradient_penalty=0.05,
             rollouts=0.1,
             replay=0.1,
             demo_states=0.0,
-            chance=1.0,
+            chance=2.0,
             wrong_goal=4.0,
             rename=0.0,
         ),
         policy=PolicyConfig(updates=12, gamma=0.9, entropy=0.05, learning_rate=3e-3),
         cloning=CloningConfig(batch=8),
-        grid=GridConfig(neighbours=True, demonstrations=20),
+        grid=GridConfig(neighbours=True, demonstrations=40),
     )
 
 
