@@ -49,8 +49,10 @@ def joint(seed: int = 0, layout_seed: int = 1000) -> Config:
         seed=seed,
         iterations=150,
         rollout_batch=16,
-        discriminator=dataclasses.replace(thesis().discriminator, learning_rate=1e-3, updates=10),
-        policy=PolicyConfig(updates=40, gamma=0.9, entropy=0.05, learning_rate=3e-3),
+        discriminator=dataclasses.replace(
+            thesis().discriminator, learning_rate=1e-3, updates=8, clip=5.0, wrong_goal=5.0
+        ),
+        policy=PolicyConfig(updates=60, gamma=0.9, entropy=0.05, learning_rate=3e-3),
         cloning=CloningConfig(batch=8),
         grid=GridConfig(
             layouts=(), random_layouts=8, layout_seed=layout_seed, neighbours=True, whole_map=True, measure_every=30
@@ -61,7 +63,7 @@ def joint(seed: int = 0, layout_seed: int = 1000) -> Config:
 def _quick(whole: Config, grid: GridConfig) -> Config:
     """Enough for the reward, which is what is measured there; its policy stays behind."""
     policy = dataclasses.replace(whole.policy, updates=12)
-    return dataclasses.replace(whole, grid=grid, policy=policy, iterations=100)
+    return dataclasses.replace(whole, grid=grid, policy=policy, iterations=80)
 
 
 def few(seed: int, demonstrations: int) -> Config:
