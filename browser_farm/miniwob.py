@@ -19,6 +19,7 @@ STICKY = frozenset(
         "choose-date-nodelay",
         "drag-cube",
         "drag-items",
+        "drag-items-grid",
         "drag-sort-numbers",
         "form-sequence",
         "hot-cold",
