@@ -45,6 +45,25 @@ def toggle(run: Path, task: str, pages: int, json_file: Path | None) -> None:
 
 @reward.command()
 @RUN
+@click.option("--pages", default=200, show_default=True, type=click.IntRange(2), help="Fresh pages a task.")
+@JSON
+def sensitivity(run: Path, pages: int, json_file: Path | None) -> None:
+    """How well the reward tells an expert's own goal from another page's: an AUC a task, 0.5 for blindness."""
+    from giirl.metrics import Metrics
+    from giirl.run import reward_of_run
+    from giirl.run_sensitivity import sensitivity
+
+    writable(json_file)
+    folder, config = _on_pages(run)
+    found = sensitivity(config, reward_of_run(run), pages, Metrics(), Display())
+    if json_file is not None:
+        folder.write_json(json_file, {"tasks": found})
+    for task, row in found.items():
+        Display().say(f"{task}: AUC {row['auc']:.3f}, shuffled {row['shuffled']:.3f}, {row['pairs']} expert steps")
+
+
+@reward.command()
+@RUN
 @click.option("--task", required=True, help="Any task, whether the run trained on it or not.")
 @click.option("--seed", required=True, type=click.IntRange(0), help="Of the page; a report names those it shows.")
 @click.option("--goal", help="Another instruction for the page; by default its own, naming another element.")

@@ -10,7 +10,11 @@ import pytest
 
 from giirl.config_file import load_config
 from giirl.goals import is_held_out
+from giirl.metrics import Metrics
+from giirl.progress import Display
+from giirl.run import reward_of_run
 from giirl.run_folder import RunFolder
+from giirl.run_sensitivity import sensitivity
 from giirl.run_serial import SerialRuntime
 from giirl.spec import Episode, Trajectory
 from learner.checkpoint import latest_checkpoint
@@ -116,3 +120,14 @@ def test_imitation_without_a_reward_ends_in_the_same_bits_each_time(algorithm: s
     first, second = (run(tmp_path / name, f"algorithm={algorithm}") for name in ("one", "two"))
     assert first[PARAMETERS] == second[PARAMETERS]
     assert first["algorithm"] == algorithm
+
+
+def test_sensitivity_is_measured_for_tasks_with_more_than_one_goal_and_chance_is_a_half(tmp_path: Path) -> None:
+    run(tmp_path / "run", "iterations=1")
+    config = load_config(tmp_path / "run/config.json")
+    found = sensitivity(config, reward_of_run(tmp_path / "run"), 30, Metrics(), Display())
+    assert set(found) == {"click-button", "enter-text"}
+    for row in found.values():
+        assert row["pairs"] >= 20
+        assert 0.0 <= row["auc"] <= 1.0
+        assert row["shuffled"] == pytest.approx(0.5, abs=0.2)
