@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import socketserver
 
 from hypothesis import settings
 
@@ -18,6 +19,9 @@ os.environ.setdefault("SE_AVOID_STATS", "true")
 os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
 os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+
+# A server of metrics looks every half second whether it shall stop; tests start and stop many.
+socketserver.BaseServer.serve_forever.__defaults__ = (0.01,)
 
 # No test may fail because the machine is busy; where a failure must repeat, the examples must too.
 settings.register_profile("giirl", deadline=None, derandomize="CI" in os.environ)

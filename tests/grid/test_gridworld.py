@@ -67,6 +67,11 @@ def test_the_seed_fixes_every_number_and_another_seed_changes_them() -> None:
     assert hashes[0] == hashes[1] != hashes[2]
 
 
+@pytest.fixture(scope="module")
+def plain() -> str:
+    return hash_nets(*learn(SMALL).learner.nets().values())
+
+
 @pytest.mark.parametrize(
     "config",
     [
@@ -96,9 +101,8 @@ def test_the_seed_fixes_every_number_and_another_seed_changes_them() -> None:
         "cloning",
     ],
 )
-def test_every_option_of_the_study_changes_what_is_learned(config: Config) -> None:
-    plain, changed = learn(SMALL).learner, learn(config).learner
-    assert hash_nets(*plain.nets().values()) != hash_nets(*changed.nets().values())
+def test_every_option_of_the_study_changes_what_is_learned(plain: str, config: Config) -> None:
+    assert hash_nets(*learn(config).learner.nets().values()) != plain
 
 
 def test_demonstrations_stand_on_the_goal_in_the_end_and_never_on_what_is_avoided() -> None:
