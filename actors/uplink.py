@@ -38,8 +38,7 @@ class UplinkLimits:
 
 @dataclass(slots=True, kw_only=True)
 class _Copy:
-    frames: list[bytes]
-    size: int
+    message: bytes
     after: int | None = None  # the last notice before it was sent; None: not on its way
 
 
@@ -91,15 +90,14 @@ class Uplink:
 
     def offer(self, episode: Episode) -> int:
         """Take charge of an episode; returns its sequence number. From here on it is finished, and accounted for."""
-        frames = wire.encode_episode(episode, stamp=replace(self._stamp, sequence=self._finished))
+        message = wire.encode_episode(episode, stamp=replace(self._stamp, sequence=self._finished))
         try:
             sequence = self._tally.add()
         except Replaced as error:
             raise Refused(f"actor {self._stamp.actor!r} has nothing to finish any more: {error}") from None
         assert sequence == self._finished
-        size = sum(map(len, frames))
-        self._waiting[sequence] = _Copy(frames=frames, size=size)
-        self._kept_bytes += size
+        self._waiting[sequence] = _Copy(message=message)
+        self._kept_bytes += len(message)
         self._finished += 1
         self.poll()
         return sequence
@@ -148,10 +146,10 @@ class Uplink:
             self._waiting[sequence] = copy
 
     def _hear(self, wait_s: float) -> None:
-        while (frames := self._dealer.recv(wait_s)) is not None:
+        while (message := self._dealer.recv(wait_s)) is not None:
             wait_s = 0.0
             try:
-                header, _ = wire.decode(frames)
+                header, _ = wire.decode(message)
                 kind = header["kind"]
                 grant = delivery.read_grant(header) if kind == delivery.GRANT else None
             except WireError as error:
@@ -180,7 +178,7 @@ class Uplink:
         if grant.committed > self._committed:
             self._committed = grant.committed
             for sequence in [sequence for sequence in self._judged if sequence < grant.committed]:
-                self._kept_bytes -= self._judged.pop(sequence).size
+                self._kept_bytes -= len(self._judged.pop(sequence).message)
         try:
             self._tally.settle(grant.settled)
         except Replaced as error:
@@ -200,7 +198,7 @@ class Uplink:
             if sequence >= self._limit:
                 break
             if copy.after is None:
-                if not self._dealer.send(copy.frames):
+                if not self._dealer.send(copy.message):
                     break
                 copy.after, self._said_s = self._notices, now_s
 

@@ -71,7 +71,7 @@ class Grant:
 NUMBERS = ("incarnation", "notice", "floor", "committed", "settled", "limit")
 
 
-def encode_notice(notice: Notice) -> list[bytes]:
+def encode_notice(notice: Notice) -> bytes:
     """What an actor says besides its episodes."""
     return wire.encode(
         {
@@ -88,19 +88,19 @@ def encode_notice(notice: Notice) -> list[bytes]:
     )
 
 
-def encode_grant(grant: Grant) -> list[bytes]:
+def encode_grant(grant: Grant) -> bytes:
     """The learner's answer to whatever an actor said."""
     return wire.encode(
         {"kind": GRANT, **{name: getattr(grant, name) for name in NUMBERS}, "judged": list(grant.judged)}
     )
 
 
-def encode_who() -> list[bytes]:
+def encode_who() -> bytes:
     """The learner does not know the actor: it should say hello."""
     return wire.encode({"kind": WHO})
 
 
-def encode_refused(reason: str, stamp: Stamp) -> list[bytes]:
+def encode_refused(reason: str, stamp: Stamp) -> bytes:
     """The learner will never take anything from the actor that this stamp names."""
     who = {"run": stamp.run, "actor": stamp.actor, "incarnation": stamp.incarnation}
     return wire.encode({"kind": REFUSED, "reason": reason, **who})

@@ -16,14 +16,15 @@ import numpy as np
 
 from giirl import wire
 from giirl.config_file import load_config
-from giirl.run_bench_peers import ACTORS, Echo, Feed, feeding, model, serving
+from giirl.run_bench_peers import ACTORS, Feed, echo, feeding, model, score, serving
 from giirl.scoring import encode_request
 from giirl.supervision import Process
 from giirl.transport import Dealer
 from learner.admission import IngestLimits
 from learner.ingest import Ingest
 
-BIG, SMALL = 200, 20  # rows of a page: an episode of ten such is 100 KB, or 10
+BIG, SMALL = 215, 20  # rows of a page: an episode of ten such is 100 KB (and more than 100 KiB), or 10
+EPISODES = 1000
 COLD = 1000  # messages of 100 KB: more than a cache holds, as trajectories are when their turn comes
 ROUNDS = 5
 WAIT_S = 120.0
@@ -31,80 +32,113 @@ Result = dict[str, Any]
 
 
 def bench_wire() -> Result:
-    """Columns to frames and back, once per message and none of them in a cache, against copying as many bytes."""
-    frames = [wire.encode_episode(model(10, BIG, seed=n), stamp=Feed.stamp(0, n)) for n in range(COLD)]
-    decoded = [wire.decode(message) for message in frames]
-    whole = [bytearray(b"".join(message)) for message in frames]
+    """Columns to a message and back, once per message and none of them in a cache, against copying as many bytes."""
+    messages = [wire.encode_episode(model(10, BIG, seed=n), stamp=Feed.stamp(0, n)) for n in range(COLD)]
+    decoded = [wire.decode(message) for message in messages]
+    whole = [bytearray(message) for message in messages]
     taken: dict[str, list[float]] = {"encode": [], "decode": [], "memcpy": []}
     for _ in range(ROUNDS):
         for n in range(COLD):
             a, b, c = n, (n + COLD // 3) % COLD, (n + 2 * COLD // 3) % COLD
             taken["memcpy"].append(_timed(lambda n=a: bytes(whole[n])))  # type: ignore[misc]
             taken["encode"].append(_timed(lambda n=b: wire.encode(*decoded[n])))  # type: ignore[misc]
-            taken["decode"].append(_timed(lambda n=c: wire.decode(frames[n])))  # type: ignore[misc]
+            taken["decode"].append(_timed(lambda n=c: wire.decode(messages[n])))  # type: ignore[misc]
     us = {name: 1e6 * statistics.median(some) for name, some in taken.items()}
-    episode, message = model(10, BIG, seed=0), frames[0]
+    episode, message = model(10, BIG, seed=0), messages[0]
     pack = [_timed(lambda: wire.encode_episode(episode, stamp=Feed.stamp(0, 0))) for _ in range(50)]
     build = [_timed(lambda: wire.decode_episode(message)) for _ in range(50)]
     return {
-        "bytes": sum(map(len, message)),
+        "bytes": len(message),
         "encode_us": round(us["encode"], 1),
         "decode_us": round(us["decode"], 1),
         "memcpy_us": round(us["memcpy"], 1),
         "ratio_memcpy": round((us["encode"] + us["decode"]) / us["memcpy"], 2),
-        "episode_to_frames_us": round(1e6 * statistics.median(pack), 1),
-        "frames_to_episode_us": round(1e6 * statistics.median(build), 1),
+        "episode_to_message_us": round(1e6 * statistics.median(pack), 1),
+        "message_to_episode_us": round(1e6 * statistics.median(build), 1),
     }
 
 
 def bench_ingest() -> Result:
-    """Episodes of 100 KB from another process until they are verified and queued, or taken, per second."""
-    ours, taken, calls, store = [], [], [], []
-    frames = wire.encode_episode(model(10, BIG, seed=0), stamp=Feed.stamp(0, 0))
+    """Trajectories of 100 KB from another process, per second, against handing the same columns to a Ray actor.
+
+    Ours are encoded by the one process, and by the learner's received, checked against their checksum, decoded, judged,
+    queued and granted ("taken": built into episodes and handed over, too). Ray's are given by this process to an actor
+    that does nothing: header and columns in one call, as anybody would; also with each column an argument of its own,
+    which Ray then sends along with the call because each is below its limit of 100 KiB; also put into the object store
+    first; also as bytes that are encoded already.
+    """
+    message = wire.encode_episode(model(10, BIG, seed=0), stamp=Feed.stamp(0, 0))
+    header, columns = wire.decode(message)
+    rates: dict[str, list[float]] = {name: [] for name in ("queued", "taken", "call", "inlined", "store", "bytes")}
     with _ray_peer() as (platform, peer):
+        ways: dict[str, Callable[[], Any]] = {
+            "call": lambda: peer.call("take", header, columns),
+            "inlined": lambda: peer.call("take", header, *columns.values()),
+            "store": lambda: peer.call("take", header, platform.share(columns)),
+            "bytes": lambda: peer.call("take", message),
+        }
         for _ in range(ROUNDS):
-            queued_s, taken_s = _stream(episodes=400)
-            ours.append(400 / queued_s)
-            taken.append(400 / taken_s)
-            calls.append(_pipelined(lambda: peer.call("take", frames), 150))
-            store.append(_pipelined(lambda: peer.call("take", platform.share(frames)), 150))
-    rates = {name: statistics.median(some) for name, some in (("ray", calls), ("store", store), ("ours", ours))}
+            queued_s, taken_s = _stream(EPISODES)
+            rates["queued"].append(EPISODES / queued_s)
+            rates["taken"].append(EPISODES / taken_s)
+            for name, call in ways.items():
+                rates[name].append(_pipelined(call, EPISODES // 5))
+    median = {name: statistics.median(some) for name, some in rates.items()}
     return {
-        "bytes": sum(map(len, frames)),
-        "trajectories_per_s": round(rates["ours"]),
-        "taken_per_s": round(statistics.median(taken)),
-        "ray_call_per_s": round(rates["ray"]),
-        "ray_store_per_s": round(rates["store"]),
-        "ratio_ray": round(rates["ours"] / rates["ray"], 1),
-        "ratio_ray_store": round(rates["ours"] / rates["store"], 1),
+        "bytes": len(message),
+        "trajectories_per_s": round(median["queued"]),
+        "taken_per_s": round(median["taken"]),
+        **{f"ray_{name}_per_s": round(median[name]) for name in ways},
+        "ratio_ray": round(median["queued"] / median["call"], 1),
+        **{f"ratio_ray_{name}": round(median["queued"] / median[name], 1) for name in ways if name != "call"},
     }
 
 
 def bench_scoring() -> Result:
-    """Round trips of a request with 32 transitions and its answer, transport alone: nobody scores anything."""
-    request = encode_request(1, [model(1, SMALL, seed=n).trajectory for n in range(32)])
-    reply = Echo().answer(request)
-    ours: list[float] = []
-    ray: list[float] = []
-    with serving(reply) as address, closing(Dealer(address, identity=b"bench")) as dealer, _ray_peer() as (_, peer):
+    """Round trips of a request with 32 transitions and its answer, transport alone: nobody scores anything.
 
-        def ask() -> None:
-            if not dealer.send(request, WAIT_S) or dealer.recv(WAIT_S) is None:
-                raise TimeoutError(f"no answer of {address} within {WAIT_S} s")
+    On both sides from columns to columns: ours are encoded, sent, decoded, answered with encoded columns and decoded
+    again; Ray's are the arguments and the result of one call of an actor. "bytes": the same without encoding anything,
+    a request of as many bytes and a short answer.
+    """
+    message = encode_request(1, [model(1, SMALL, seed=n).trajectory for n in range(32)])
+    header, columns = wire.decode(message)
+    with ExitStack() as open_things:
+        dealers = [
+            open_things.enter_context(closing(Dealer(open_things.enter_context(serving(answer)), identity=b"bench")))
+            for answer in (score, echo)
+        ]
+        _, peer = open_things.enter_context(_ray_peer())
 
-        for _ in range(20):
-            ask()
-            peer.call("answer", request).result(WAIT_S)
-        for _ in range(40 * ROUNDS):
-            ours += [_timed(ask) for _ in range(4)]
-            ray.append(_timed(lambda: peer.call("answer", request).result(WAIT_S)))
+        def ask(dealer: Dealer, request: bytes) -> bytes:
+            if not dealer.send(request, WAIT_S) or (answer := dealer.recv(WAIT_S)) is None:
+                raise TimeoutError(f"no answer of {dealer.address} within {WAIT_S} s")
+            return answer
+
+        ways: dict[str, Callable[[], object]] = {
+            "ours": lambda: wire.decode(ask(dealers[0], wire.encode(header, columns))),
+            "ours_bytes": lambda: ask(dealers[1], message),
+            "ray": lambda: peer.call("score", header, columns).result(WAIT_S),
+            "ray_bytes": lambda: peer.call("echo", message).result(WAIT_S),
+        }
+        taken: dict[str, list[float]] = {name: [] for name in ways}
+        for number in range(50 * ROUNDS + 10):
+            for name, work in ways.items():
+                seconds = [_timed(work) for _ in range(4)]
+                if number >= 10:
+                    taken[name] += seconds
+    p50 = {name: 1e3 * statistics.median(some) for name, some in taken.items()}
+    p99 = {name: 1e3 * float(np.quantile(some, 0.99)) for name, some in taken.items()}
     return {
-        "request_bytes": sum(map(len, request)),
-        "p50_ms": round(1e3 * statistics.median(ours), 3),
-        "p99_ms": round(1e3 * float(np.quantile(ours, 0.99)), 3),
-        "ray_p50_ms": round(1e3 * statistics.median(ray), 3),
-        "ray_p99_ms": round(1e3 * float(np.quantile(ray, 0.99)), 3),
-        "ratio_ray": round(statistics.median(ray) / statistics.median(ours), 1),
+        "request_bytes": len(message),
+        "p50_ms": round(p50["ours"], 3),
+        "p99_ms": round(p99["ours"], 3),
+        "ray_p50_ms": round(p50["ray"], 3),
+        "ray_p99_ms": round(p99["ray"], 3),
+        "ratio_ray": round(p50["ray"] / p50["ours"], 1),
+        "bytes_p50_ms": round(p50["ours_bytes"], 3),
+        "ray_bytes_p50_ms": round(p50["ray_bytes"], 3),
+        "ratio_ray_bytes": round(p50["ray_bytes"] / p50["ours_bytes"], 1),
     }
 
 
@@ -189,7 +223,7 @@ def _ray_peer() -> Any:
     platform = RayPlatform(load_config(None, ["runtime=local", "actors.count=1"]), "bench")
     try:
         peer: Process = platform.start("echo", "echo", 0)
-        peer.call("take", []).result(WAIT_S)
+        peer.call("take").result(WAIT_S)
         yield platform, peer
     finally:
         platform.close()

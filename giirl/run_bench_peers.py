@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from multiprocessing.connection import Connection
 from typing import Any
@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 
 from giirl import delivery, wire
+from giirl.columns import Columns
 from giirl.delivery import Notice
-from giirl.scoring import ScoreReply, encode_reply
 from giirl.spec import Action, Episode, Goal, Outcome, Page, Trajectory, Verb
 from giirl.transport import Dealer, Router
 from giirl.wire import Stamp
 
 ACTORS = 1000
+ANSWER_BYTES = 400  # about as many as the rewards of 32 transitions take
 END_S = 10.0
 BEAT_S = 0.5
 
@@ -55,15 +56,32 @@ def _page(draw: np.random.Generator, rows: int) -> Page:
 
 
 class Echo:
-    """Takes what it gets, answers what it has."""
+    """Takes what it gets, and judges nothing: what Ray's side of the benchmarks calls."""
 
-    def take(self, frames: list[bytes]) -> int:
-        return len(frames)
+    def take(self, *values: object) -> int:
+        return len(values)
 
-    def answer(self, frames: list[bytes]) -> list[bytes]:
-        """As many rewards as a request for 32 transitions wants."""
-        rewards = tuple(np.zeros(1, np.float32) for _ in range(32))
-        return encode_reply(ScoreReply(request=1, rewards=rewards, version=1))
+    def score(self, header: wire.Header, columns: Columns) -> Columns:
+        return no_rewards(columns)
+
+    def echo(self, message: bytes) -> bytes:
+        return message[:ANSWER_BYTES]
+
+
+def no_rewards(columns: Columns) -> Columns:
+    """The columns of an answer: zeros, as many as there are steps in a request."""
+    return {"steps": columns["steps"], "rewards": np.zeros(len(columns["rows"]), np.float32)}
+
+
+def score(message: bytes) -> bytes:
+    """The same over our wire."""
+    header, columns = wire.decode(message)
+    return wire.encode({"kind": "scores", "request": header["request"], "version": 1}, no_rewards(columns))
+
+
+def echo(message: bytes) -> bytes:
+    """Nothing but bytes, as many back as an answer has."""
+    return message[:ANSWER_BYTES]
 
 
 class Feed:
@@ -91,8 +109,8 @@ class _Line:
 
     def feed(self, header: wire.Header, arrays: Any, wanted: int) -> int:
         """Send as many as the learner takes, `wanted` at most."""
-        while (frames := self._dealer.recv(0.0)) is not None:
-            self._limit = max(self._limit, delivery.read_grant(wire.decode(frames)[0]).limit)
+        while (grant := self._dealer.recv(0.0)) is not None:
+            self._limit = max(self._limit, delivery.read_grant(wire.decode(grant)[0]).limit)
         if not self._limit and time.monotonic() - self._told_s > BEAT_S:
             self._told_s = time.monotonic()
             notice = Notice(kind=delivery.HELLO, stamp=Feed.stamp(self._actor, 0), number=1, finished=0)
@@ -120,12 +138,13 @@ def _feed(address: str, actors: int, rows: int, orders: Connection) -> None:
             left -= line.feed(header, arrays, left)
 
 
-def _serve(reply: list[bytes], orders: Connection) -> None:
+def _serve(answer: Callable[[bytes], bytes], orders: Connection) -> None:
     with closing(Router()) as router:
         orders.send_bytes(router.address.encode())
         while not orders.poll(0):
-            if (message := router.recv(0.5)) is not None:
-                router.send(message[0], reply)
+            if (received := router.recv(0.5)) is not None:
+                peer, message = received
+                router.send(peer, answer(message))
 
 
 @contextmanager
@@ -136,9 +155,9 @@ def feeding(address: str, actors: int, rows: int) -> Iterator[Feed]:
 
 
 @contextmanager
-def serving(reply: list[bytes]) -> Iterator[str]:
-    """Somebody who answers everything with this; yields the address."""
-    with _process(_serve, reply) as orders:
+def serving(answer: Callable[[bytes], bytes]) -> Iterator[str]:
+    """Somebody who answers so; yields the address."""
+    with _process(_serve, answer) as orders:
         if not orders.poll(60.0):
             raise TimeoutError("the other end did not start within 60 s")
         yield orders.recv_bytes().decode()

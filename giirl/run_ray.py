@@ -46,7 +46,11 @@ class RewardOnRay(_OnRay, RewardProcess):
     """A reward service where Ray put it."""
 
 
-KINDS = {"actor": ActorOnRay, "reward-service": RewardOnRay, "echo": Echo}
+KINDS: dict[str, tuple[type, int]] = {  # and how many of its methods may run at once
+    "actor": (ActorOnRay, THREADS),
+    "reward-service": (RewardOnRay, THREADS),
+    "echo": (Echo, 1),
+}
 
 
 class RayCall:
@@ -101,10 +105,11 @@ class RayPlatform:
                 return RayProcess(ray.get_actor(full, NAMESPACE), found=True)
             except ValueError:
                 pass  # nobody has this name yet
-        options: dict[str, Any] = {"num_cpus": cpus, "max_restarts": -1, "max_concurrency": THREADS}
+        made, threads = KINDS[kind]
+        options: dict[str, Any] = {"num_cpus": cpus, "max_restarts": -1, "max_concurrency": threads}
         if not self.alone:
             options |= {"name": full, "namespace": NAMESPACE, "lifetime": "detached"}
-        return RayProcess(ray.remote(KINDS[kind]).options(**options).remote(*values), found=False)
+        return RayProcess(ray.remote(made).options(**options).remote(*values), found=False)
 
     def share(self, value: Any) -> Any:
         return ray.put(value)

@@ -33,7 +33,7 @@ class _Replica:
 @dataclass(slots=True, kw_only=True)
 class _Question:
     key: object
-    frames: list[bytes]
+    message: bytes
     steps: tuple[int, ...]
     tries: int = 0  # how often it was sent and not put off
     asked: _Replica | None = None  # who has it
@@ -126,7 +126,7 @@ class ScoreClient:
         number = next(self._numbers)
         self._open[number] = _Question(
             key=key,
-            frames=encode_request(number, trajectories),
+            message=encode_request(number, trajectories),
             steps=tuple(len(trajectory) for trajectory in trajectories),
             end_s=time.monotonic() + self._timeout_s * (self._retries + 1),
         )
@@ -145,7 +145,7 @@ class ScoreClient:
         """The least loaded that may be asked and can be reached, those who answer first."""
         awake = [replica for replica in self._replicas if now_s >= replica.rests_until_s]
         for replica in sorted(awake, key=lambda r: (r.suspect_until_s > now_s, r.under_way + r.backlog)):
-            if replica.dealer.send(question.frames):
+            if replica.dealer.send(question.message):
                 question.asked, question.due_s = replica, now_s + self._timeout_s
                 question.tries += 1
                 replica.under_way += sum(question.steps)
@@ -163,9 +163,9 @@ class ScoreClient:
         self._send()
         answers = []
         for replica in self._replicas or ():
-            while (frames := replica.dealer.recv(wait_s)) is not None:
+            while (message := replica.dealer.recv(wait_s)) is not None:
                 wait_s = 0.0
-                if (answer := self._read(replica, frames)) is not None:
+                if (answer := self._read(replica, message)) is not None:
                     answers.append(answer)
         if not self._replicas:
             time.sleep(wait_s)
@@ -177,9 +177,9 @@ class ScoreClient:
                 answers.append(_Answer(key=question.key, rewards=None, version=UNSCORED, trouble=question.trouble))
         return answers
 
-    def _read(self, replica: _Replica, frames: list[bytes]) -> _Answer | None:
+    def _read(self, replica: _Replica, message: bytes) -> _Answer | None:
         try:
-            reply = decode_reply(frames)
+            reply = decode_reply(message)
         except WireError:
             self.strays += 1
             return None

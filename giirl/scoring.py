@@ -36,7 +36,7 @@ class ScoreReply:
             raise ValueError(f"a score reply tells a backlog of {self.backlog}, wanted 0 or more")
 
 
-def encode_request(request: int, trajectories: Sequence[Trajectory]) -> list[bytes]:
+def encode_request(request: int, trajectories: Sequence[Trajectory]) -> bytes:
     """Ask for the rewards of some trajectories."""
     if not 0 < len(trajectories) <= MAX_BATCH:
         raise ValueError(f"a score request holds {len(trajectories)} trajectories, wanted 1 to {MAX_BATCH}")
@@ -65,7 +65,7 @@ def build_request(header: Header, arrays: Columns) -> list[Trajectory]:
         return trajectories
 
 
-def encode_reply(reply: ScoreReply) -> list[bytes]:
+def encode_reply(reply: ScoreReply) -> bytes:
     """The answer to one request."""
     header: dict[str, object] = {"kind": "scores"}
     header |= {name: getattr(reply, name) for name in ("request", "version", "error", "backlog")}
@@ -74,9 +74,9 @@ def encode_reply(reply: ScoreReply) -> list[bytes]:
     return wire.encode(header, {"steps": steps, "rewards": rewards})
 
 
-def decode_reply(frames: Sequence[bytes]) -> ScoreReply:
+def decode_reply(message: bytes) -> ScoreReply:
     """The inverse of `encode_reply`."""
-    header, arrays = wire.decode(frames)
+    header, arrays = wire.decode(message)
     wire.expect(header, "scores")
     with wire.untrusted():
         steps, rewards = cols.flat(arrays, {"steps": "<u4", "rewards": "<f4"})

@@ -1,4 +1,4 @@
-"""Sockets: many dealers talk to one router, in frames, with bounds on every queue, message and wait."""
+"""Sockets: many dealers talk to one router, with bounds on every queue, message and wait."""
 
 from __future__ import annotations
 
@@ -104,17 +104,18 @@ class Router:
             self._alarm.recv(4096)
         return self._socket in ready
 
-    def recv(self, timeout_s: float) -> tuple[bytes, list[bytes]] | None:
+    def recv(self, timeout_s: float) -> tuple[bytes, bytes] | None:
         """The next message and who sent it; None when none came in time."""
-        if not self.poll(timeout_s):
-            return None
-        peer, *frames = self._socket.recv_multipart()
-        return peer, frames
+        received = self._next()
+        if received is None and self.poll(timeout_s):
+            received = self._next()
+        return received
 
-    def send(self, peer: bytes, frames: Sequence[bytes]) -> bool:
+    def send(self, peer: bytes, message: bytes) -> bool:
         """False when the peer is gone or takes nothing more; never waits."""
         try:
-            self._socket.send_multipart([peer, *frames], zmq.DONTWAIT)
+            self._socket.send(peer, zmq.DONTWAIT | zmq.SNDMORE)
+            self._socket.send(message, zmq.DONTWAIT)
         except zmq.ZMQError as error:
             if error.errno not in (zmq.EAGAIN, zmq.EHOSTUNREACH):
                 raise
@@ -133,6 +134,13 @@ class Router:
         self._end()
         self._waker.close()
         self._alarm.close()
+
+    def _next(self) -> tuple[bytes, bytes] | None:
+        try:
+            peer, *frames = self._socket.recv_multipart(zmq.DONTWAIT)
+        except zmq.Again:
+            return None
+        return peer, _whole(frames)
 
     def _end(self) -> None:
         self._turned_away.close()
@@ -158,6 +166,7 @@ class Dealer:
             self._socket.curve_secretkey = keys.secret
             self._socket.curve_serverkey = keys.public
         self._turned_away = _Refusals(self._socket)
+        self._timeouts_ms: dict[int, int] = {}
         self.address = address
         try:
             self._socket.connect(f"tcp://{address}")
@@ -170,20 +179,19 @@ class Dealer:
         """How often the other end has turned this one away: a wrong key, or no router at all."""
         return self._turned_away.count()
 
-    def poll(self, timeout_s: float) -> bool:
-        """True when a message waits."""
-        return bool(self._socket.poll(_ms(timeout_s), zmq.POLLIN))
-
-    def recv(self, timeout_s: float) -> list[bytes] | None:
+    def recv(self, timeout_s: float) -> bytes | None:
         """The next message; None when none came in time."""
-        return self._socket.recv_multipart() if self.poll(timeout_s) else None
-
-    def send(self, frames: Sequence[bytes], timeout_s: float = 0.0) -> bool:
-        """False when there is no connection, or it takes nothing more, until the timeout."""
-        if not self._socket.poll(_ms(timeout_s), zmq.POLLOUT):
-            return False
+        self._wait_at_most(zmq.RCVTIMEO, timeout_s)
         try:
-            self._socket.send_multipart(list(frames), zmq.DONTWAIT)
+            return _whole(self._socket.recv_multipart())
+        except zmq.Again:
+            return None
+
+    def send(self, message: bytes, timeout_s: float = 0.0) -> bool:
+        """False when there is no connection, or it takes nothing more, until the timeout."""
+        self._wait_at_most(zmq.SNDTIMEO, timeout_s)
+        try:
+            self._socket.send(message)
         except zmq.Again:
             return False
         return True
@@ -192,6 +200,13 @@ class Dealer:
         """Send what can be sent at once, then end the connection."""
         self._turned_away.close()
         self._socket.close()  # its linger bounds how long the process stays for what is unsent
+
+    def _wait_at_most(self, option: int, timeout_s: float) -> None:
+        """The socket waits by itself: that is one look at it less than polling it first."""
+        timeout_ms = _ms(timeout_s)
+        if self._timeouts_ms.get(option) != timeout_ms:
+            self._socket.setsockopt(option, timeout_ms)
+            self._timeouts_ms[option] = timeout_ms
 
 
 class _Refusals:
@@ -249,6 +264,11 @@ def _gate(context: zmq.Context[zmq.Socket[bytes]], keys: Keys) -> ThreadAuthenti
     gate.start()
     gate.configure_curve_callback(domain="*", credentials_provider=_Holders(keys))
     return gate
+
+
+def _whole(frames: Sequence[bytes]) -> bytes:
+    """A message of ours is one frame. What others send in several reads as nothing, which nobody can decode."""
+    return frames[0] if len(frames) == 1 else b""
 
 
 def _is_loopback(host: str) -> bool:

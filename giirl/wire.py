@@ -1,9 +1,9 @@
 """The wire contract: what episodes and weights look like as bytes, on a socket and in a file.
 
-A message is a list of frames. The first is a fixed prefix (magic, schema version, XXH3 of all that follows)
-and a msgpack header; each further frame is one column of raw little-endian numbers, which the header names
-and measures. Whatever is wrong with a message is a WireError and nothing else; sizes are checked before
-anything is allocated.
+A message is one run of bytes: a prefix (magic, schema version, XXH3 of all that follows), the length of a msgpack
+header, that header, and columns of raw little-endian numbers, which the header names and measures. The header and each
+column are filled up with zeros to a multiple of ALIGN, so that columns are read where they lie. Whatever is wrong with
+a message is a WireError and nothing else; sizes are checked before anything is allocated.
 """
 
 from __future__ import annotations
@@ -18,25 +18,31 @@ from typing import Any
 
 import msgpack
 import numpy as np
-from xxhash import xxh3_64
+from xxhash import xxh3_64_intdigest
 
 from giirl import columns as cols
 from giirl.columns import Column, Columns, take
 from giirl.files import whole_file
 from giirl.spec import Episode, Outcome
 
-SCHEMA = 3
+SCHEMA = 4
 MAGIC = b"GIRL"
-PREFIX = struct.Struct("<4sHQ")  # magic, schema, checksum
+PREFIX = struct.Struct("<4sIQ")  # magic, schema, checksum
+LENGTH = struct.Struct("<Q")
+ALIGN = 8
+GAPS = tuple(bytes(-size % ALIGN) for size in range(ALIGN))  # what to fill up with, by size modulo ALIGN
 MAX_BYTES = 64 << 20
 MAX_HEADER_BYTES = 1 << 20
-MAX_FRAMES = 64
+MAX_COLUMNS = 64
 MAX_DIMS = 4
 DTYPES = {
     name: np.dtype(name) for name in ("|b1", "|i1", "|u1", "<i2", "<i4", "<i8", "<u2", "<u4", "<u8", "<f4", "<f8")
 }
-FILE_MAGIC = b"giirl episodes 2\n"
+BOOLEAN = DTYPES["|b1"]
+NAMES = {dtype: name for name, dtype in DTYPES.items()}
+FILE_MAGIC = b"giirl episodes 3\n"
 COUNT = struct.Struct("<I")
+checksum = xxh3_64_intdigest
 
 Header = dict[str, Any]
 
@@ -59,55 +65,54 @@ class Stamp:
             raise ValueError(f"incarnation {self.incarnation} and sequence {self.sequence} have to be 0 or more")
 
 
-def encode(header: Mapping[str, object], arrays: Mapping[str, Column] | None = None) -> list[bytes]:
-    """Frames of one message; `header` says its "kind"."""
+def encode(header: Mapping[str, object], arrays: Mapping[str, Column] | None = None) -> bytes:
+    """One message; `header` says its "kind"."""
     if not isinstance(header.get("kind"), str):
         raise ValueError(f"a header needs a kind, got {header.get('kind')!r}")
-    layout, frames = [], []
-    for name, array in (arrays or {}).items():
-        dtype = array.dtype.str
-        if dtype not in DTYPES:
+    types: list[str] = []
+    shapes: list[tuple[int, ...]] = []
+    columns: list[bytes | Column] = []
+    for name, array in arrays.items() if arrays else ():
+        dtype = NAMES.get(array.dtype)
+        if dtype is None:
             array = array.astype(array.dtype.newbyteorder("<"))
-            dtype = array.dtype.str
-            if dtype not in DTYPES:
+            dtype = NAMES.get(array.dtype)
+            if dtype is None:
                 raise ValueError(f"column {name!r} is of type {array.dtype}, wanted one of {sorted(DTYPES)}")
-        layout.append((name, dtype, array.shape))
-        frames.append(array.tobytes())
+        types.append(dtype)
+        shapes.append(array.shape)
+        columns += (np.ascontiguousarray(array), GAPS[array.nbytes % ALIGN])
     try:
-        body = msgpack.packb([dict(header), layout], use_bin_type=True, unicode_errors="surrogatepass")
+        body = msgpack.packb([dict(header), list(arrays or ()), types, shapes], unicode_errors="surrogatepass")
     except (TypeError, OverflowError) as error:
         raise ValueError(f"header of kind {header['kind']!r} cannot be packed: {error}") from error
-    _check_limits([body, *frames], MAX_BYTES)
-    return [PREFIX.pack(MAGIC, SCHEMA, checksum([body, *frames])) + body, *frames]
+    parts: list[bytes | Column] = [LENGTH.pack(len(body)), body, GAPS[len(body) % ALIGN], *columns]
+    sealed = b"".join(parts)
+    _check_limits(len(body), len(types), PREFIX.size + len(sealed), MAX_BYTES)
+    return PREFIX.pack(MAGIC, SCHEMA, checksum(sealed)) + sealed
 
 
-def decode(frames: Sequence[bytes], *, max_bytes: int = MAX_BYTES) -> tuple[Header, Columns]:
-    """Header and columns of one message; the columns are read-only views of its frames."""
-    if not frames or len(frames[0]) < PREFIX.size:
-        raise WireError(f"a message of {len(frames)} frames has no whole header, wanted {PREFIX.size} bytes or more")
-    magic, schema, promised = PREFIX.unpack_from(frames[0])
+def decode(message: bytes, *, max_bytes: int = MAX_BYTES) -> tuple[Header, Columns]:
+    """Header and columns of one message; the columns are read-only views of it."""
+    start = PREFIX.size + LENGTH.size
+    if len(message) < start:
+        raise WireError(f"a message of {len(message)} bytes has no whole prefix, wanted {start} or more")
+    magic, schema, promised = PREFIX.unpack_from(message)
     if magic != MAGIC:
         raise WireError(f"a message starts with {magic!r}, wanted {MAGIC!r}")
     if schema != SCHEMA:
         raise WireError(f"a message has schema {schema}, this program speaks {SCHEMA}: use one version on both sides")
-    parts = [frames[0][PREFIX.size :], *frames[1:]]
-    _check_limits(parts, max_bytes)
-    if (found := checksum(parts)) != promised:
+    sealed = memoryview(message)[PREFIX.size :]
+    (length,) = LENGTH.unpack_from(sealed)
+    _check_limits(length, 0, len(message), max_bytes)
+    if (found := checksum(sealed)) != promised:
         raise WireError(f"a message is damaged: checksum {found:016x}, wanted {promised:016x}")
-    header, layout = _unpack_header(parts[0])
-    if len(layout) != len(parts) - 1:
-        raise WireError(f"a message has {len(parts) - 1} column frames, its header names {len(layout)}")
-    arrays: Columns = {}
-    with untrusted():
-        for entry, frame in zip(layout, parts[1:], strict=True):
-            name, array = _column(entry, frame)
-            if name in arrays:
-                raise WireError(f"column {name!r} comes twice")
-            arrays[name] = array
-    return header, arrays
+    header, layout = _unpack_header(message[start : start + length])
+    _check_limits(length, len(layout), len(message), max_bytes)
+    return header, _columns(layout, message, start + _filled_up(length))
 
 
-def encode_episode(episode: Episode, *, stamp: Stamp) -> list[bytes]:
+def encode_episode(episode: Episode, *, stamp: Stamp) -> bytes:
     """One finished episode and where it comes from."""
     header = {
         "kind": "episode",
@@ -122,9 +127,9 @@ def encode_episode(episode: Episode, *, stamp: Stamp) -> list[bytes]:
     return encode(header, cols.pack([episode.trajectory]))
 
 
-def decode_episode(frames: Sequence[bytes]) -> tuple[Episode, Stamp]:
+def decode_episode(message: bytes) -> tuple[Episode, Stamp]:
     """The inverse of `encode_episode`."""
-    header, arrays = decode(frames)
+    header, arrays = decode(message)
     return build_episode(header, arrays), read_stamp(header)
 
 
@@ -155,10 +160,8 @@ def write_episodes(path: Path, episodes: Sequence[Episode]) -> None:
     with whole_file(path) as file:
         file.write(FILE_MAGIC + COUNT.pack(len(episodes)))
         for number, episode in enumerate(episodes):
-            frames = encode_episode(episode, stamp=Stamp(run="", actor="", incarnation=0, sequence=number))
-            sizes = [len(frame) for frame in frames]
-            file.write(b"".join(map(COUNT.pack, [len(frames), *sizes])))
-            file.writelines(frames)
+            message = encode_episode(episode, stamp=Stamp(run="", actor="", incarnation=0, sequence=number))
+            file.writelines([COUNT.pack(len(message)), message])
 
 
 def read_episodes(path: Path) -> list[Episode]:
@@ -170,8 +173,9 @@ def read_episodes(path: Path) -> list[Episode]:
     try:
         count, offset = _number(data, len(FILE_MAGIC))
         while offset < len(data):
-            frames, offset = _record(data, offset)
-            episode, stamp = decode_episode(frames)
+            size, offset = _number(data, offset)
+            episode, stamp = decode_episode(_piece(data, offset, size))
+            offset += size
             if stamp.sequence != len(episodes):
                 raise WireError(f"episode {stamp.sequence} stands where {len(episodes)} should")
             episodes.append(episode)
@@ -180,14 +184,6 @@ def read_episodes(path: Path) -> list[Episode]:
     except WireError as error:
         raise ValueError(f"{path} is damaged at episode {len(episodes)}: {error}; wanted a whole file") from error
     return episodes
-
-
-def checksum(parts: Sequence[bytes]) -> int:
-    """64 bits over all parts, whatever their borders: those the header tells."""
-    digest = xxh3_64()
-    for part in parts:
-        digest.update(part)
-    return digest.intdigest()
 
 
 def expect(header: Header, kind: str) -> None:
@@ -207,50 +203,53 @@ def untrusted() -> Iterator[None]:
         raise WireError(str(error)) from error
 
 
-def _check_limits(parts: Sequence[bytes], max_bytes: int) -> None:
-    size = sum(map(len, parts))
-    if len(parts) > MAX_FRAMES or len(parts[0]) > MAX_HEADER_BYTES or size > max_bytes:
+def _check_limits(header_bytes: int, columns: int, size: int, max_bytes: int) -> None:
+    if header_bytes > MAX_HEADER_BYTES or columns > MAX_COLUMNS or size > max_bytes:
         raise WireError(
-            f"a message of {len(parts)} frames, {len(parts[0])} header bytes and {size} bytes in all "
-            f"is too big: wanted {MAX_FRAMES}, {MAX_HEADER_BYTES} and {max_bytes} at most"
+            f"a message of {header_bytes} header bytes, {columns} columns and {size} bytes in all is too big: "
+            f"wanted {MAX_HEADER_BYTES}, {MAX_COLUMNS} and {max_bytes} at most"
         )
 
 
-def _unpack_header(body: bytes) -> tuple[Header, list[Any]]:
+def _unpack_header(body: bytes) -> tuple[Header, list[tuple[Any, Any, Any]]]:
     try:
         # What the body's own length does not bound (strings, lists, maps) msgpack bounds by it.
         content = msgpack.unpackb(body, unicode_errors="surrogatepass", max_bin_len=0, max_ext_len=0)
     except (ValueError, msgpack.UnpackException) as error:
         raise WireError(f"a header is not msgpack: {error}") from error
     match content:
-        case [{"kind": str(), **_rest} as header, list() as layout] if all(isinstance(key, str) for key in header):
-            return header, layout
-    raise WireError(f"a header is {content!r:.80}, wanted fields with a kind and a list of columns")
+        case [{"kind": str()} as header, list() as names, list() as types, list() as shapes]:
+            if all(isinstance(key, str) for key in header) and len(names) == len(types) == len(shapes):
+                return header, list(zip(names, types, shapes, strict=True))
+    raise WireError(f"a header is {content!r:.80}, wanted fields with a kind, and names, types and shapes of columns")
 
 
-def _column(entry: Any, frame: bytes) -> tuple[str, Column]:
-    """Every message has dozens of these, so what is as it should be passes few questions."""
-    try:
-        name, dtype, shape = entry
-        kind = DTYPES[dtype]
-        size = kind.itemsize * math.prod(shape)
-        sound = type(name) is str and type(shape) is list and len(shape) <= MAX_DIMS
-    except (TypeError, ValueError, KeyError):
-        sound = False
-    if not sound:
-        raise WireError(f"a column is described as {entry!r:.80}, wanted name, type and shape")
-    if not (len(shape) == 1 and type(shape[0]) is int and size >= 0) and not _is_shape(shape):
-        raise WireError(f"column {name!r:.80} has shape {shape!r:.80}")
-    if size != len(frame):
-        raise WireError(f"column {name!r:.80} of shape {shape} and type {dtype} comes with {len(frame)} bytes")
-    if dtype == "|b1" and frame.translate(None, b"\0\1"):
-        raise WireError(f"column {name!r:.80} holds a byte above 1, wanted 0 for False and 1 for True")
-    flat = np.frombuffer(frame, dtype=kind)
-    return name, flat if len(shape) == 1 else flat.reshape(shape)
+def _columns(layout: list[tuple[Any, Any, Any]], message: bytes, offset: int) -> Columns:
+    """Every message has dozens of these: what is as it should be passes few questions, and numpy asks the others."""
+    arrays: Columns = {}
+    for name, dtype, shape in layout:
+        try:
+            kind = DTYPES[dtype]
+            if type(name) is not str or name in arrays or type(shape) is not list or len(shape) > MAX_DIMS:
+                raise ValueError("no name of its own, or no shape")
+            if shape and min(shape) < 0:
+                raise ValueError("less than nothing")
+            array: Column = np.ndarray(shape, kind, message, offset)
+        except (TypeError, ValueError, KeyError) as error:
+            told = f"column {name!r:.80} of type {dtype!r:.80} and shape {shape!r:.80}"
+            raise WireError(f"{told} is none of this message: {error}") from error
+        size = array.nbytes
+        if kind is BOOLEAN and message[offset : offset + size].translate(None, b"\0\1"):
+            raise WireError(f"column {name!r:.80} holds a byte above 1, wanted 0 for False and 1 for True")
+        arrays[name] = array
+        offset += _filled_up(size)
+    if offset != len(message):
+        raise WireError(f"a message of {len(message)} bytes has columns up to byte {offset}")
+    return arrays
 
 
-def _is_shape(shape: list[object]) -> bool:
-    return all(type(length) is int and 0 <= length <= MAX_BYTES for length in shape)
+def _filled_up(size: int) -> int:
+    return size + -size % ALIGN
 
 
 def _number(data: bytes, offset: int) -> tuple[int, int]:
@@ -261,15 +260,3 @@ def _piece(data: bytes, offset: int, size: int) -> bytes:
     if offset + size > len(data):
         raise WireError(f"it ends after {len(data)} bytes, something in it reaches to {offset + size}")
     return data[offset : offset + size]
-
-
-def _record(data: bytes, offset: int) -> tuple[list[bytes], int]:
-    count, offset = _number(data, offset)
-    sizes, frames = [], []
-    for _ in range(min(count, MAX_FRAMES + 1)):  # one too many is refused as a message
-        size, offset = _number(data, offset)
-        sizes.append(size)
-    for size in sizes:
-        frames.append(_piece(data, offset, size))
-        offset += size
-    return frames, offset

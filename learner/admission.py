@@ -84,10 +84,10 @@ class Admission:
         """Whether an actor can go on only after a checkpoint."""
         return any(actor.wants_commit for actor in self._actors.values())
 
-    def hear(self, peer: bytes, frames: list[bytes]) -> list[bytes] | None:
+    def hear(self, peer: bytes, message: bytes) -> bytes | None:
         """Take in one message; returns what has to be answered at once."""
         try:
-            header, arrays = wire.decode(frames)
+            header, arrays = wire.decode(message)
             stamp = wire.read_stamp(header)
             notice = delivery.read_notice(header, stamp) if header["kind"] in delivery.NOTICES else None
         except WireError as error:
@@ -105,7 +105,7 @@ class Admission:
         elif actor is None or stamp.incarnation > actor.incarnation or actor.peer != peer:
             return delivery.encode_who()
         elif notice is None:
-            self._judge(actor, stamp, header, arrays, sum(map(len, frames)))
+            self._judge(actor, stamp, header, arrays, len(message))
         if notice:
             actor.note(notice)
         if notice and notice.kind == delivery.BYE:
@@ -145,7 +145,7 @@ class Admission:
         self._counts[TAKEN] += len(batch)
         return batch if self._limits.max_lag else sorted(batch, key=_page)
 
-    def grants(self) -> list[tuple[bytes, list[bytes]]]:
+    def grants(self) -> list[tuple[bytes, bytes]]:
         """What has to be told to whom, once."""
         told = [self._actors[name] for name in sorted(self._untold)]
         self._untold.clear()
@@ -249,7 +249,7 @@ class Admission:
             lag = self._reward_version() - episode.trajectory.reward_version
             self._metrics.reward_lag.observe(max(0, lag))
 
-    def _refuse(self, kind: str, reason: str, stamp: Stamp) -> list[bytes]:
+    def _refuse(self, kind: str, reason: str, stamp: Stamp) -> bytes:
         if kind == delivery.EPISODE:
             self._refused(reason)
         return delivery.encode_refused(reason, stamp)

@@ -119,13 +119,13 @@ class Ingest:
     def _turn(self) -> None:
         timeout_s = TICK_S
         for _ in range(MAX_BURST):
-            message = self._router.recv(timeout_s)
-            if message is None:
+            received = self._router.recv(timeout_s)
+            if received is None:
                 break
             timeout_s = 0.0
-            peer, frames = message
+            peer, message = received
             with self._lock:
-                answer = self._books.hear(peer, frames)
+                answer = self._books.hear(peer, message)
                 self._lock.notify_all()
             if answer is not None:
                 self._router.send(peer, answer)  # a peer that is gone needs no answer
@@ -134,5 +134,5 @@ class Ingest:
             self._refusals = refusals
         with self._lock:
             grants = self._books.grants()
-        for peer, frames in grants:
-            self._router.send(peer, frames)  # one that misses a grant gets it again with its next beat
+        for peer, grant in grants:
+            self._router.send(peer, grant)  # one that misses a grant gets it again with its next beat

@@ -128,16 +128,16 @@ class RewardService:
     def _admit(self, timeout_s: float) -> None:
         """Queue what has arrived. Bounded, so that a flood cannot keep the queue itself from being served."""
         for _ in range(2 * self._limits.max_queue):
-            message = self._router.recv(timeout_s)
-            if message is None:
+            received = self._router.recv(timeout_s)
+            if received is None:
                 return
             timeout_s = 0.0
-            self._queue_up(*message)
+            self._queue_up(*received)
 
-    def _queue_up(self, peer: bytes, frames: list[bytes]) -> None:
+    def _queue_up(self, peer: bytes, message: bytes) -> None:
         since_s = time.monotonic()
         try:
-            header, arrays = wire.decode(frames)
+            header, arrays = wire.decode(message)
             number = read_request(header)
         except WireError as error:
             self._metrics.scoring_requests.labels("malformed").inc()

@@ -1,8 +1,8 @@
 """Spoiled messages and files without end: only the documented errors come of them, and memory does not grow.
 
-python -m tests.chaos.fuzz FOLDER FRAMES FILES writes FOLDER/fuzz.json. Half of the frames have their checksum mended
-after they were spoiled, and checkpoint files stand under a manifest that agrees with them, so that what lies behind
-checksums is reached too.
+python -m tests.chaos.fuzz FOLDER MESSAGES FILES writes FOLDER/fuzz.json. Half of the messages have their checksum
+mended after they were spoiled, and checkpoint files stand under a manifest that agrees with them, so that what lies
+behind checksums is reached too.
 """
 
 from __future__ import annotations
@@ -26,14 +26,13 @@ from giirl import delivery, scoring, wire
 from giirl.config_file import load_config
 from giirl.delivery import Grant, Notice
 from giirl.metrics import Metrics
-from giirl.wire import PREFIX, WireError
+from giirl.wire import ALIGN, GAPS, LENGTH, PREFIX, WireError
 from learner.admission import Admission, IngestLimits
 from learner.held import BOOKS, QUEUE, Held, Mark
 from learner.learner import Learner
 from tests.run.small import config
 from tests.wire.examples import STAMP, episode
 
-Frames = list[bytes]
 WORDS = [b"\x00", b"\xff", b"\x7f\xff\xff\xff", b"\xff\xff\xff\xff", b"\x80", b"\xc0", b"\xdd\xff\xff\xff\xff", b"{}"]
 RECORDING = {
     "taskName": "click-test",
@@ -69,24 +68,26 @@ def spoil(draw: random.Random, data: bytes) -> bytes:
     return bytes(spoiled)
 
 
-def spoil_frames(draw: random.Random, frames: Frames) -> Frames:
-    spoiled = list(frames)
-    place = draw.randrange(len(spoiled))
-    if draw.random() < 0.1:
-        spoiled = draw.choice([spoiled[:place], [*spoiled, b""], [*spoiled, spoiled[place]], spoiled[::-1]])
-    elif place == 0 and draw.random() < 0.8:
-        spoiled[0] = spoiled[0][: PREFIX.size] + spoil(draw, spoiled[0][PREFIX.size :])
+def spoil_message(draw: random.Random, message: bytes) -> bytes:
+    """Anywhere, or in the header alone, whose length is mended then; half have a checksum that suits, too."""
+    if draw.random() < 0.5:
+        spoiled = spoil(draw, message)
     else:
-        spoiled[place] = spoil(draw, spoiled[place])
-    if spoiled and len(spoiled[0]) >= PREFIX.size and draw.random() < 0.5:
-        magic, schema, _ = PREFIX.unpack_from(spoiled[0])
-        body = spoiled[0][PREFIX.size :]
-        mended = wire.checksum([body, *spoiled[1:]])
-        spoiled[0] = PREFIX.pack(magic, schema, mended) + body
+        start = PREFIX.size + LENGTH.size
+        end = start + LENGTH.unpack_from(message, PREFIX.size)[0]
+        header = spoil(draw, message[start:end])
+        columns = message[end + -end % ALIGN :]
+        spoiled = b"".join(
+            [message[: PREFIX.size], LENGTH.pack(len(header)), header, GAPS[len(header) % ALIGN], columns]
+        )
+    if len(spoiled) >= PREFIX.size and draw.random() < 0.5:
+        magic, schema, _ = PREFIX.unpack_from(spoiled)
+        rest = spoiled[PREFIX.size :]
+        spoiled = PREFIX.pack(magic, schema, wire.checksum(rest)) + rest
     return spoiled
 
 
-def messages() -> list[tuple[Frames, Callable[[Frames], object]]]:
+def messages() -> list[tuple[bytes, Callable[[bytes], object]]]:
     """Every kind there is, and who reads it."""
     notice = Notice(kind=delivery.HELLO, stamp=STAMP, number=3, finished=50, before=((0, 5), (1, 2)))
     grant = Grant(incarnation=2, notice=3, floor=4, judged=(6, 9), committed=1, settled=1, limit=12)
@@ -101,19 +102,19 @@ def messages() -> list[tuple[Frames, Callable[[Frames], object]]]:
     reply = scoring.ScoreReply(request=1, rewards=(np.ones(2, np.float32),), version=3, backlog=2)
     whole = wire.encode_episode(episode(2), stamp=STAMP)
 
-    def hear(frames: Frames) -> None:
-        books.hear(b"peer", frames)
+    def hear(message: bytes) -> None:
+        books.hear(b"peer", message)
         books.grants()
         books.pull(1)
 
-    def ask(frames: Frames) -> None:
-        scoring.build_request(*wire.decode(frames))
+    def ask(message: bytes) -> None:
+        scoring.build_request(*wire.decode(message))
 
     return [
         (whole, wire.decode_episode),
         (whole, hear),
         (delivery.encode_notice(notice), hear),
-        (delivery.encode_grant(grant), lambda frames: delivery.read_grant(wire.decode(frames)[0])),
+        (delivery.encode_grant(grant), lambda message: delivery.read_grant(wire.decode(message)[0])),
         (scoring.encode_request(1, [episode(2).trajectory, episode(1).trajectory]), ask),
         (scoring.encode_reply(reply), scoring.decode_reply),
     ]
@@ -152,13 +153,13 @@ def files(folder: Path) -> list[tuple[Path, Callable[[Path], object]]]:
     return read
 
 
-def fuzz_frames(draw: random.Random, count: int) -> Counter[str]:
+def fuzz_messages(draw: random.Random, count: int) -> Counter[str]:
     known = messages()
     found: Counter[str] = Counter()
     for _ in range(count):
-        frames, read = draw.choice(known)
+        message, read = draw.choice(known)
         try:
-            read(spoil_frames(draw, frames))
+            read(spoil_message(draw, message))
             found["read"] += 1
         except WireError:
             found["WireError"] += 1
@@ -185,12 +186,12 @@ def fuzz_files(draw: random.Random, folder: Path, count: int) -> Counter[str]:
 
 
 def main() -> None:
-    folder, frames, count = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    folder, sent, count = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     logging.disable(logging.WARNING)
     draw, since_s = random.Random(5), time.monotonic()
-    seen = {"frames": fuzz_frames(draw, frames // 4)}
+    seen = {"messages": fuzz_messages(draw, sent // 4)}
     before = psutil.Process().memory_info().rss
-    seen["frames"] += fuzz_frames(draw, frames - frames // 4)
+    seen["messages"] += fuzz_messages(draw, sent - sent // 4)
     growth = (psutil.Process().memory_info().rss - before) / 2**20
     seen["files"] = fuzz_files(draw, folder, count)
     told = {name: dict(found) for name, found in seen.items()}

@@ -11,11 +11,10 @@ from collections.abc import Callable
 import zmq
 
 from giirl import wire
-from giirl.wire import PREFIX, WireError
+from giirl.wire import PREFIX
 
 SHARE = 0.02  # of all messages that something happens to
 DELAY_S = 0.2
-Frames = list[bytes]
 
 
 def relay(front: int, back: int, seed: int) -> None:
@@ -34,19 +33,19 @@ def relay(front: int, back: int, seed: int) -> None:
     while not stopped:
         ready = dict(poller.poll(20))
         if router in ready:
-            peer, *frames = router.recv_multipart()
+            peer, message = router.recv_multipart()
             if peer not in lines:
                 lines[peer] = _line(context, peer, back)
                 poller.register(lines[peer], zmq.POLLIN)
-            for message in vandal.pass_on(peer, frames):
-                lines[peer].send_multipart(message)
+            for passed in vandal.pass_on(peer, message):
+                lines[peer].send(passed)
         for peer, line in lines.items():
             if line in ready:
-                for message in vandal.pass_on(b"", line.recv_multipart()):
-                    router.send_multipart([peer, *message])
+                for passed in vandal.pass_on(b"", line.recv()):
+                    router.send_multipart([peer, passed])
         for peer, message in vandal.late():
             if peer:
-                lines[peer].send_multipart(message)
+                lines[peer].send(message)
     context.destroy(linger=0)
 
 
@@ -62,57 +61,50 @@ class Vandal:
 
     def __init__(self, draw: random.Random) -> None:
         self._draw = draw
-        self._held: list[tuple[float, bytes, Frames]] = []
+        self._held: list[tuple[float, bytes, bytes]] = []
         self.done: Counter[str] = Counter()
-        self.harms: dict[str, Callable[[Frames], list[Frames]]] = {
-            "lost": lambda frames: [],
-            "twice": lambda frames: [frames, frames],
+        self.harms: dict[str, Callable[[bytes], list[bytes]]] = {
+            "lost": lambda message: [],
+            "twice": lambda message: [message, message],
             "cut": self._cut,
             "flipped": self._flip,
-            "grown": lambda frames: [[*frames, b"x" * 1000]],
+            "grown": lambda message: [message + b"x" * 1000],
             "other_schema": self._other_schema,
             "other_run": self._other_run,
-            "junk": lambda frames: [frames, [self._draw.randbytes(40)]],
+            "junk": lambda message: [message, self._draw.randbytes(40)],
         }
 
-    def pass_on(self, peer: bytes, frames: Frames) -> list[Frames]:
+    def pass_on(self, peer: bytes, message: bytes) -> list[bytes]:
         if self._draw.random() >= SHARE:
-            return [frames]
+            return [message]
         kind = self._draw.choice([*self.harms, "late"])
         self.done[kind] += 1
         if kind == "late":
-            self._held.append((time.monotonic() + self._draw.random() * DELAY_S, peer, frames))
+            self._held.append((time.monotonic() + self._draw.random() * DELAY_S, peer, message))
             return []
-        return self.harms[kind](frames)
+        return self.harms[kind](message)
 
-    def late(self) -> list[tuple[bytes, Frames]]:
+    def late(self) -> list[tuple[bytes, bytes]]:
         """Those whose time has come, in an order of their own."""
         now_s = time.monotonic()
-        due = [(peer, frames) for at_s, peer, frames in self._held if at_s <= now_s]
+        due = [(peer, message) for at_s, peer, message in self._held if at_s <= now_s]
         self._held = [entry for entry in self._held if entry[0] > now_s]
         self._draw.shuffle(due)
         return due
 
-    def _cut(self, frames: Frames) -> list[Frames]:
-        place = self._draw.randrange(len(frames))
-        keep = self._draw.randrange(len(frames[place]) + 1)
-        return [[*frames[:place], frames[place][:keep]]]
+    def _cut(self, message: bytes) -> list[bytes]:
+        return [message[: self._draw.randrange(len(message))]]
 
-    def _flip(self, frames: Frames) -> list[Frames]:
-        place = self._draw.randrange(len(frames))
-        spoiled = bytearray(frames[place])
-        if spoiled:
-            spoiled[self._draw.randrange(len(spoiled))] ^= 1 << self._draw.randrange(8)
-        return [[*frames[:place], bytes(spoiled), *frames[place + 1 :]]]
+    def _flip(self, message: bytes) -> list[bytes]:
+        spoiled = bytearray(message)
+        spoiled[self._draw.randrange(len(spoiled))] ^= 1 << self._draw.randrange(8)
+        return [bytes(spoiled)]
 
-    def _other_schema(self, frames: Frames) -> list[Frames]:
-        magic, schema, *rest = PREFIX.unpack_from(frames[0])
-        return [[PREFIX.pack(magic, schema + 1, *rest) + frames[0][PREFIX.size :], *frames[1:]]]
+    def _other_schema(self, message: bytes) -> list[bytes]:
+        magic, schema, promised = PREFIX.unpack_from(message)
+        return [PREFIX.pack(magic, schema + 1, promised) + message[PREFIX.size :]]
 
-    def _other_run(self, frames: Frames) -> list[Frames]:
+    def _other_run(self, message: bytes) -> list[bytes]:
         """A whole message, as a run of long ago would send it; the true one follows."""
-        try:
-            header, arrays = wire.decode(frames)
-            return [wire.encode({**header, "run": "another"}, arrays), frames] if "run" in header else [frames]
-        except WireError:
-            return [frames]
+        header, arrays = wire.decode(message)
+        return [wire.encode({**header, "run": "another"}, arrays), message] if "run" in header else [message]

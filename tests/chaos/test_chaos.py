@@ -71,10 +71,10 @@ def test_a_network_that_was_cut_and_mended_costs_no_episode(full: bool, tmp_path
 
 
 def test_of_spoiled_messages_and_files_come_only_the_documented_errors(full: bool, tmp_path: Path) -> None:
-    frames, files = (1_000_000, 10_000) if full else (10_000, 200)
-    found = play("fuzz", tmp_path, str(frames), str(files), timeout_s=1100, result="fuzz.json")
-    assert set(found["frames"]) == {"read", "WireError"}, found
+    messages, files = (1_000_000, 10_000) if full else (10_000, 200)
+    found = play("fuzz", tmp_path, str(messages), str(files), timeout_s=1100, result="fuzz.json")
+    assert set(found["messages"]) == {"read", "WireError"}, found
     assert set(found["files"]) == {"read", "ValueError"}, found
-    assert sum(found["frames"].values()) == frames
+    assert sum(found["messages"].values()) == messages
     assert sum(found["files"].values()) == files
     assert found["growth_mib"] < 16, found

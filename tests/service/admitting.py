@@ -69,8 +69,8 @@ class Learner:
         sent = episode(1, seed=sequence, policy_version=policy_version, reward_version=2)
         return self._said(actor, wire.encode_episode(sent, stamp=stamp))
 
-    def _said(self, actor: str, frames: list[bytes]) -> str:
-        answer = self.books.hear(actor.encode(), frames)
+    def _said(self, actor: str, message: bytes) -> str:
+        answer = self.books.hear(actor.encode(), message)
         if answer is None:
             return ""
         header, _ = wire.decode(answer)

@@ -149,8 +149,8 @@ def test_a_queue_that_is_full_takes_nothing_more_until_it_has_room() -> None:
 def test_malformed_messages_are_counted_and_forgotten() -> None:
     learner = Learner()
     learner.hello()
-    for frames in ([], [b"junk"], wire.encode({"kind": "episode"}), [b"GIRL" * 4, b""]):
-        assert learner.books.hear(b"a", frames) is None
+    for message in (b"", b"junk", wire.encode({"kind": "episode"}), b"GIRL" * 9):
+        assert learner.books.hear(b"a", message) is None
     assert learner.dropped("damaged") == 4
     assert learner.episode(0) == ""
     assert learner.seeds(1) == [0]

@@ -95,7 +95,7 @@ def test_a_flood_is_answered_overloaded_and_the_queue_stays_within_its_bound() -
         thread = threading.Thread(target=service.serve, args=(stop.is_set,))
         thread.start()
         try:
-            replies = [scoring.decode_reply(dealer.recv(WAIT_S) or []) for _ in range(8)]
+            replies = [scoring.decode_reply(dealer.recv(WAIT_S) or b"") for _ in range(8)]
         finally:
             stop.set()
             thread.join(WAIT_S)
@@ -113,19 +113,13 @@ def test_malformed_messages_are_counted_and_the_service_goes_on() -> None:
     with serving(RewardService(load, metrics=metrics)) as service:
         service.set_weights(Weights.seal(0, b"2"))
         with closing(Dealer(service.address, identity=b"vandal")) as vandal:
-            for message in (
-                [b""],
-                [b"junk"] * 3,
-                good[:-1],
-                [good[0][:-1], *good[1:]],
-                wire.encode({"kind": "x"}),
-            ):
+            for message in (b"", b"junk", good[:-1], good + b"x", wire.encode({"kind": "x"})):
                 assert vandal.send(message, timeout_s=WAIT_S)
             spoiled = {**arrays, "verb": np.full(2, 9, np.int8)}
             assert vandal.send(wire.encode(header, spoiled), timeout_s=WAIT_S)
             assert vandal.send(wire.encode({**header, "heads": [1]}, arrays), timeout_s=WAIT_S)
             for _ in range(2):
-                reply = scoring.decode_reply(vandal.recv(WAIT_S) or [])
+                reply = scoring.decode_reply(vandal.recv(WAIT_S) or b"")
                 assert reply.request == 1
                 assert reply.error.startswith("invalid request: ")
         with closing(ScoreClient([service.address], identity="a")) as client:

@@ -117,10 +117,10 @@ def test_a_late_or_repeated_answer_is_a_stray_and_not_another_answer() -> None:
     with closing(Router()) as router, closing(ScoreClient([router.address], identity="a")) as client:
         client.submit("k", trajectory(1))
         until(lambda: not client.poll() and router.poll(0.0))
-        peer, frames = router.recv(0.0) or (b"", [])
-        number = scoring.read_request(wire.decode(frames)[0])
+        peer, asked = router.recv(0.0) or (b"", b"")
+        number = scoring.read_request(wire.decode(asked)[0])
         reply = ScoreReply(request=number, rewards=(np.ones(1, np.float32),), version=2)
-        for message in (scoring.encode_reply(reply), scoring.encode_reply(reply), [b"junk"]):
+        for message in (scoring.encode_reply(reply), scoring.encode_reply(reply), b"junk"):
             assert router.send(peer, message)
         answers = settled(client)
         until(lambda: not client.poll() and client.strays == 2)
@@ -180,8 +180,8 @@ def test_a_replica_that_is_overloaded_rests_while_another_answers() -> None:
         with closing(ScoreClient([busy.address], identity="a", timeout_s=WAIT_S)) as client:
             client.submit("k", trajectory(1))
             until(lambda: not client.poll() and busy.poll(0.0))
-            peer, frames = busy.recv(0.0) or (b"", [])
-            number = scoring.read_request(wire.decode(frames)[0])
+            peer, asked = busy.recv(0.0) or (b"", b"")
+            number = scoring.read_request(wire.decode(asked)[0])
             client.follow([busy.address, free.address])
             assert busy.send(peer, scoring.encode_reply(ScoreReply(request=number, error=scoring.OVERLOADED)))
             ((key, _, version),) = settled(client)

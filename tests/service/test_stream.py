@@ -116,7 +116,7 @@ def test_a_freed_credit_is_told_at_once_and_not_at_the_next_beat(monkeypatch: py
 
 
 def test_an_actor_that_keeps_as_much_as_it_may_pauses_and_asks_for_a_checkpoint() -> None:
-    size = sum(map(len, wire.encode_episode(episode(1), stamp=STAMP)))
+    size = len(wire.encode_episode(episode(1), stamp=STAMP))
     limits = UplinkLimits(pause_at=64, max_kept_bytes=4 * size, beat_s=0.05, hello_s=0.05)
     with ingesting(credits_=64) as ingest, closing(uplink(ingest.address, limits=limits)) as line:
         line.offer(episode(1))
@@ -242,7 +242,7 @@ def test_an_actor_is_not_refused_for_what_another_said_in_its_name() -> None:
     with closing(Router()) as router, closing(uplink(router.address)) as line:
         line.offer(episode(1))
         until(lambda: router.poll(0.005), line)
-        peer, _ = router.recv(0.0) or (b"", [])
+        peer, _ = router.recv(0.0) or (b"", b"")
         for stamp in (replace(STAMP, actor="a", incarnation=0), replace(STAMP, run="run", actor="a", incarnation=1)):
             router.send(peer, delivery.encode_refused(delivery.FENCED, stamp))
         stamp = replace(STAMP, run="run", actor="a", incarnation=0)
@@ -254,7 +254,7 @@ def test_an_actor_is_not_refused_for_what_another_said_in_its_name() -> None:
 def test_junk_on_the_socket_stops_nobody() -> None:
     metrics = Metrics()
     with ingesting(metrics=metrics) as ingest, closing(Dealer(ingest.address, identity=b"vandal")) as vandal:
-        for junk in ([b""], [b"junk"], [b"GIRL" * 9, b"x"] * 40):
+        for junk in (b"", b"junk", b"GIRL" * 9):
             assert vandal.send(junk, timeout_s=WAIT_S)
         with closing(uplink(ingest.address)) as line:
             line.offer(episode(1, seed=6))
@@ -274,7 +274,7 @@ def test_an_episode_lost_on_the_way_is_sent_again_as_soon_as_that_is_certain() -
             if (message := router.recv(0.005)) is not None:
                 header, _ = wire.decode(message[1])
                 heard.append(header["kind"])
-                router.send(message[0], [b"junk"])  # ignored
+                router.send(message[0], b"junk")  # ignored
                 floor = int(heard.count(delivery.EPISODE) >= 3)
                 if "number" in header:
                     grant = Grant(incarnation=0, notice=header["number"], floor=floor, committed=0, settled=0, limit=1)

@@ -21,23 +21,42 @@ def router() -> Iterator[Router]:
         yield made
 
 
-def test_frames_go_there_and_back(router: Router) -> None:
+def test_messages_go_there_and_back(router: Router) -> None:
     with closing(Dealer(router.address, identity=b"a")) as dealer:
-        assert dealer.send([b"one", b"", b"two"], timeout_s=WAIT_S)
-        assert router.recv(WAIT_S) == (b"a", [b"one", b"", b"two"])
-        assert router.send(b"a", [b"three"])
-        assert dealer.recv(WAIT_S) == [b"three"]
+        for message in (b"one", b"", b"two" * 100_000):
+            assert dealer.send(message, timeout_s=WAIT_S)
+            assert router.recv(WAIT_S) == (b"a", message)
+            assert router.send(b"a", message)
+            assert dealer.recv(WAIT_S) == message
+
+
+def test_a_message_in_several_frames_is_none_of_ours_and_reads_as_nothing(router: Router) -> None:
+    with zmq.Context() as context, context.socket(zmq.DEALER) as stranger:
+        stranger.identity, stranger.linger = b"a", 0
+        stranger.connect(f"tcp://{router.address}")
+        stranger.send_multipart([b"one", b"", b"two"])
+        assert router.recv(WAIT_S) == (b"a", b"")
+        stranger.send(b"whole")
+        assert router.recv(WAIT_S) == (b"a", b"whole")
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as stranger:
+        stranger.linger = 0
+        port = stranger.bind_to_random_port("tcp://127.0.0.1")
+        with closing(Dealer(f"127.0.0.1:{port}", identity=b"a")) as dealer:
+            assert dealer.send(b"x", timeout_s=WAIT_S)
+            peer, _ = stranger.recv_multipart()
+            stranger.send_multipart([peer, b"one", b"two"])
+            assert dealer.recv(WAIT_S) == b""
 
 
 def test_waiting_for_nobody_ends(router: Router) -> None:
     assert router.recv(0.01) is None
     with closing(Dealer("127.0.0.1:1", identity=b"a")) as dealer:
         assert dealer.recv(0.01) is None
-        assert not dealer.send([b"x"], timeout_s=0.01)
+        assert not dealer.send(b"x", timeout_s=0.01)
 
 
 def test_a_message_for_a_stranger_is_reported_as_not_sent(router: Router) -> None:
-    assert not router.send(b"stranger", [b"x"])
+    assert not router.send(b"stranger", b"x")
 
 
 def test_another_thread_wakes_a_router(router: Router) -> None:
@@ -51,13 +70,13 @@ def test_another_thread_wakes_a_router(router: Router) -> None:
 
 def test_a_peer_that_comes_back_takes_its_place_again(router: Router) -> None:
     with closing(Dealer(router.address, identity=b"a")) as first:
-        assert first.send([b"1"], timeout_s=WAIT_S)
-        assert router.recv(WAIT_S) == (b"a", [b"1"])
+        assert first.send(b"1", timeout_s=WAIT_S)
+        assert router.recv(WAIT_S) == (b"a", b"1")
         with closing(Dealer(router.address, identity=b"a")) as second:
-            assert second.send([b"2"], timeout_s=WAIT_S)
-            assert router.recv(WAIT_S) == (b"a", [b"2"])
-            assert router.send(b"a", [b"3"])
-            assert second.recv(WAIT_S) == [b"3"]
+            assert second.send(b"2", timeout_s=WAIT_S)
+            assert router.recv(WAIT_S) == (b"a", b"2")
+            assert router.send(b"a", b"3")
+            assert second.recv(WAIT_S) == b"3"
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.0.2.1", "*", "example.invalid"])
@@ -75,11 +94,11 @@ def test_holders_of_the_keys_talk_and_nobody_else_does() -> None:
     keys, others = Keys.make(), Keys.make()
     with closing(Router(keys=keys)) as router:
         with closing(Dealer(router.address, identity=b"a", keys=keys)) as dealer:
-            assert dealer.send([b"x"], timeout_s=WAIT_S)
-            assert router.recv(WAIT_S) == (b"a", [b"x"])
+            assert dealer.send(b"x", timeout_s=WAIT_S)
+            assert router.recv(WAIT_S) == (b"a", b"x")
         for wrong in (others, None):
             with closing(Dealer(router.address, identity=b"b", keys=wrong)) as dealer:
-                assert not dealer.send([b"x"], timeout_s=0.5)
+                assert not dealer.send(b"x", timeout_s=0.5)
                 assert dealer.refusals
                 assert router.recv(0.0) is None
 
@@ -124,5 +143,5 @@ def test_a_stranger_on_the_port_who_speaks_http_does_no_harm(router: Router) -> 
     with socket.create_connection((host, int(port)), timeout=WAIT_S) as stranger:
         stranger.sendall(b"GET / HTTP/1.1\r\n\r\n" * 10)
         with closing(Dealer(router.address, identity=b"a")) as dealer:
-            assert dealer.send([b"x"], timeout_s=WAIT_S)
-            assert router.recv(WAIT_S) == (b"a", [b"x"])
+            assert dealer.send(b"x", timeout_s=WAIT_S)
+            assert router.recv(WAIT_S) == (b"a", b"x")

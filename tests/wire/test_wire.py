@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as np_st
 
 from giirl import wire
 from giirl.columns import head, pack, unpack
@@ -24,35 +25,46 @@ from tests.wire.examples import (
 )
 
 GOLDEN = (
-    "4749524c030095b57faa7763d98f928ca46b696e64a7657069736f6465a372756ea572756e2d31a56163746f72a761"
-    "63746f722d37ab696e6361726e6174696f6e02a873657175656e636529a47461736bac636c69636b2d627574746f6e"
-    "a4676f616cab436c69636b20224f6b222ea47365656405ae706f6c6963795f76657273696f6e03ae7265776172645f"
-    "76657273696f6effaa7261775f726577617264cb3ff0000000000000a5656e646564c3dc001993a57374657073a33c"
-    "7534910193a4726f7773a33c7534910193a476657262a37c6931910193a7656c656d656e74a33c6934910193a57374"
-    "617274a33c6934910193a3656e64a33c6934910193a2746fa33c6934910193a26174a33c663892010293a26279a33c"
-    "663892010293ae6265686176696f75725f6c6f6770a33c6634910193a772657761726473a33c6634910193a3726566"
-    "a33c6934910393a6706172656e74a33c6932910393a3626f78a33c663492030493a7666f6375736564a37c62319103"
-    "93a874616d7065726564a37c6231910393a3746167a33c7534910393a474657874a33c7534910393a576616c7565a3"
-    "3c7534910393a7636c6173736573a33c7534910393a6636f6c6f7572a33c7534910393a57368617065a33c75349103"
-    "93a76c69746572616ca33c7534910193aa63686172616374657273a37c7531910f93ab737472696e675f656e6473a3"
-    "3c753491057c010000007c030000007c007c000000007cffffffff7cffffffff7cffffffff7c000000000000000000"
-    "000000000000007c000000000000000000000000000000007c000000bf7c000000007c010000000200000003000000"
-    "7cffffffffffff7c000000000000803f0000004000004040000080400000a0400000c0400000e04000000041000010"
-    "4100002041000030417c0000007c0100007c0000000000000000000000007c0100000002000000030000007c030000"
-    "0003000000030000007c0400000004000000040000007c0300000003000000030000007c0300000003000000030000"
-    "007c030000007c627574746f6e4f6b4ec3a9776964657c06000000080000000a0000000a0000000e000000"
+    "4749524c04000000e48ed446877d41a5e901000000000000948ca46b696e64a7657069736f6465a372756ea572756e"
+    "2d31a56163746f72a76163746f722d37ab696e6361726e6174696f6e02a873657175656e636529a47461736bac636c"
+    "69636b2d627574746f6ea4676f616cab436c69636b20224f6b222ea47365656405ae706f6c6963795f76657273696f"
+    "6e03ae7265776172645f76657273696f6effaa7261775f726577617264cb3ff0000000000000a5656e646564c3dc00"
+    "19a57374657073a4726f7773a476657262a7656c656d656e74a57374617274a3656e64a2746fa26174a26279ae6265"
+    "686176696f75725f6c6f6770a772657761726473a3726566a6706172656e74a3626f78a7666f6375736564a874616d"
+    "7065726564a3746167a474657874a576616c7565a7636c6173736573a6636f6c6f7572a57368617065a76c69746572"
+    "616caa63686172616374657273ab737472696e675f656e6473dc0019a33c7534a33c7534a37c6931a33c6934a33c69"
+    "34a33c6934a33c6934a33c6638a33c6638a33c6634a33c6634a33c6934a33c6932a33c6634a37c6231a37c6231a33c"
+    "7534a33c7534a33c7534a33c7534a33c7534a33c7534a33c7534a37c7531a33c7534dc001991019101910191019101"
+    "910191019201029201029101910191039103920304910391039103910391039103910391039101910f910500000000"
+    "0000000100000000000000030000000000000000000000000000000000000000000000ffffffff00000000ffffffff"
+    "00000000ffffffff000000000000000000000000000000000000000000000000000000000000000000000000000000"
+    "bf00000000000000000000000001000000020000000300000000000000ffffffffffff0000000000000000803f0000"
+    "004000004040000080400000a0400000c0400000e04000000041000010410000204100003041000000000000000001"
+    "0000000000000000000000000000000000000000000000010000000200000003000000000000000300000003000000"
+    "0300000000000000040000000400000004000000000000000300000003000000030000000000000003000000030000"
+    "0003000000000000000300000000000000627574746f6e4f6b4ec3a9776964650006000000080000000a0000000a00"
+    "00000e00000000000000"
 )
 
 
-def sealed(body: object, *frames: bytes) -> list[bytes]:
+def sealed(body: object, columns: bytes = b"") -> bytes:
     """A message whose checksum is right, whatever it says."""
-    parts = [msgpack.packb(body), *frames]
-    return [wire.PREFIX.pack(wire.MAGIC, wire.SCHEMA, wire.checksum(parts)) + parts[0], *parts[1:]]
+    return sealed_bytes(msgpack.packb(body), columns)
 
 
-def altered(frames: list[bytes], **columns: np.ndarray) -> list[bytes]:
+def sealed_bytes(body: bytes, columns: bytes = b"") -> bytes:
+    """The same, of what may be no msgpack."""
+    return signed(wire.LENGTH.pack(len(body)) + body + wire.GAPS[len(body) % wire.ALIGN] + columns)
+
+
+def signed(rest: bytes) -> bytes:
+    """A prefix that suits whatever follows."""
+    return wire.PREFIX.pack(wire.MAGIC, wire.SCHEMA, wire.checksum(rest)) + rest
+
+
+def altered(message: bytes, **columns: np.ndarray) -> bytes:
     """An episode message with other columns, sealed again."""
-    header, arrays = wire.decode(frames)
+    header, arrays = wire.decode(message)
     return wire.encode(header, {**arrays, **columns})
 
 
@@ -70,8 +82,30 @@ def test_many_trajectories_share_columns_and_come_apart_again(sent: list[Traject
         assert_same_trajectory(found, wanted)
 
 
-def test_the_bytes_of_schema_3_are_these() -> None:
-    assert b"|".join(wire.encode_episode(episode(1), stamp=STAMP)).hex() == GOLDEN
+def test_the_bytes_of_schema_4_are_these() -> None:
+    assert wire.encode_episode(episode(1), stamp=STAMP).hex() == GOLDEN
+
+
+COLUMNS = st.sampled_from([dtype for dtype in wire.DTYPES if dtype != "|b1"]).flatmap(
+    lambda dtype: np_st.arrays(dtype, np_st.array_shapes(min_dims=0, max_dims=wire.MAX_DIMS, min_side=0, max_side=3))
+)
+
+
+@given(st.dictionaries(st.text(max_size=9), COLUMNS, max_size=9))
+def test_columns_of_any_type_and_shape_come_back_where_they_can_be_read_in_place(sent: dict[str, np.ndarray]) -> None:
+    _, found = wire.decode(wire.encode({"kind": "x"}, sent))
+    assert found.keys() == sent.keys()
+    for name, array in found.items():
+        assert (array.dtype, array.shape, array.tobytes()) == (sent[name].dtype, sent[name].shape, sent[name].tobytes())
+        assert array.flags.aligned
+        assert not array.flags.writeable
+
+
+def test_columns_that_lie_in_memory_in_another_order_are_sent_in_ours() -> None:
+    plain = np.arange(12, dtype="<i4").reshape(3, 4)
+    for strange in (np.asfortranarray(plain), plain.astype(">i4"), np.repeat(plain, 2, axis=1)[:, ::2]):
+        _, found = wire.decode(wire.encode({"kind": "x"}, {"a": strange}))
+        assert found["a"].tolist() == plain.tolist()
 
 
 def test_the_header_says_what_delivery_and_a_reader_of_logs_need() -> None:
@@ -93,80 +127,105 @@ def test_the_header_says_what_delivery_and_a_reader_of_logs_need() -> None:
 
 
 def test_equal_strings_are_carried_once() -> None:
-    few, many = (sum(map(len, wire.encode_episode(episode(n), stamp=STAMP)[-2:])) for n in (1, 100))
-    assert few == many
+    few, many = (wire.decode(wire.encode_episode(episode(n), stamp=STAMP))[1] for n in (1, 100))
+    for name in ("characters", "string_ends"):
+        assert few[name].tolist() == many[name].tolist()
 
 
 @pytest.mark.parametrize("mask", [0x01, 0x80, 0xFF])
 def test_any_flipped_byte_is_a_wire_error(mask: int) -> None:
-    frames = wire.encode_episode(episode(1), stamp=STAMP)
-    for number, frame in enumerate(frames):
-        for place in range(len(frame)):
-            spoiled = frame[:place] + bytes([frame[place] ^ mask]) + frame[place + 1 :]
+    message = wire.encode_episode(episode(1), stamp=STAMP)
+    for place in range(len(message)):
+        spoiled = message[:place] + bytes([message[place] ^ mask]) + message[place + 1 :]
+        with pytest.raises(WireError):
+            wire.decode_episode(spoiled)
+
+
+def test_a_truncated_message_is_a_wire_error_and_nothing_else() -> None:
+    message = wire.encode_episode(episode(1), stamp=STAMP)
+    for length in range(len(message)):
+        with pytest.raises(WireError):
+            wire.decode_episode(message[:length])
+        if length >= wire.PREFIX.size:
             with pytest.raises(WireError):
-                wire.decode_episode([*frames[:number], spoiled, *frames[number + 1 :]])
+                wire.decode_episode(signed(message[wire.PREFIX.size : length]))
 
 
-def test_a_truncated_frame_is_a_wire_error_and_nothing_else() -> None:
-    frames = wire.encode_episode(episode(1), stamp=STAMP)
-    for number, frame in enumerate(frames):
-        for length in range(len(frame)):
+@given(st.data())
+def test_a_message_with_bytes_left_out_put_in_or_moved_is_a_wire_error(data: st.DataObject) -> None:
+    message = wire.encode_episode(episode(1), stamp=STAMP)
+    places = st.integers(wire.PREFIX.size, len(message))
+    first, last = sorted((data.draw(places), data.draw(places)))
+    put_in = data.draw(st.binary(max_size=20))
+    for spoiled in (message[:first] + put_in + message[last:], message[:first] + message[last:] + message[first:last]):
+        if spoiled != message:
             with pytest.raises(WireError):
-                wire.decode_episode([*frames[:number], frame[:length], *frames[number + 1 :]])
-
-
-def test_a_missing_doubled_or_misplaced_frame_is_a_wire_error() -> None:
-    frames = wire.encode_episode(episode(1), stamp=STAMP)
-    for number in range(len(frames)):
-        for wrong in ([], [frames[number]] * 2):
+                wire.decode_episode(spoiled)
+        if len(spoiled) != len(message):
             with pytest.raises(WireError):
-                wire.decode_episode([*frames[:number], *wrong, *frames[number + 1 :]])
+                wire.decode_episode(signed(spoiled[wire.PREFIX.size :]))
+
+
+@given(st.binary(max_size=99))
+def test_noise_is_a_wire_error(message: bytes) -> None:
     with pytest.raises(WireError):
-        wire.decode_episode([frames[0], *reversed(frames[1:])])
+        wire.decode(message)
 
 
-@given(st.lists(st.binary(max_size=40), max_size=4))
-def test_noise_is_a_wire_error(frames: list[bytes]) -> None:
-    with pytest.raises(WireError):
-        wire.decode(frames)
-
-
-@given(st.binary(max_size=60), st.lists(st.binary(max_size=8), max_size=2))
-def test_noise_with_a_right_checksum_is_a_wire_error(body: bytes, rest: list[bytes]) -> None:
-    prefix = wire.PREFIX.pack(wire.MAGIC, wire.SCHEMA, wire.checksum([body, *rest]))
-    with pytest.raises(WireError):
-        wire.decode_episode([prefix + body, *rest])
+@given(st.binary(max_size=60), st.binary(max_size=16))
+def test_noise_with_a_right_checksum_is_a_wire_error(body: bytes, rest: bytes) -> None:
+    for message in (signed(body + rest), sealed_bytes(body, rest)):
+        with pytest.raises(WireError):
+            wire.decode_episode(message)
 
 
 @given(st.dictionaries(st.text(max_size=8), st.integers() | st.text(max_size=3) | st.none(), max_size=3))
 def test_a_header_that_is_no_episodes_is_a_wire_error(header: dict[str, object]) -> None:
     with pytest.raises(WireError):
-        wire.decode_episode(sealed([{**{k: repr(v) for k, v in header.items()}, "kind": "episode"}, []]))
+        wire.decode_episode(sealed([{**{k: repr(v) for k, v in header.items()}, "kind": "episode"}, [], [], []]))
 
 
 @pytest.mark.parametrize(
     "layout",
     [
-        [["a", "|O8", [1]]],
-        [["a", "<f4", [2**62]]],
-        [["a", "<f4", [-1]]],
-        [["a", "<f4", [True]]],
-        [["a", "<f4", [1, 1, 1, 1, 1]]],
-        [["a", "<f4", [0, 2**26, 2**26, 2**26]]],
-        [["a", "<f4", "1"]],
-        [["a", "<f4"]],
-        [[b"a", "<f4", [1]]],
-        [["a", ["<f4"], [1]]],
-        [["a", "<f4", [1]], ["a", "<f4", [1]]],
-        "a",
+        [["a"], ["|O8"], [[1]]],
+        [["a"], ["<f4"], [[2**62]]],
+        [["a"], ["<f4"], [[2**63]]],
+        [["a"], ["<f4"], [[-1]]],
+        [["a"], ["<f4"], [[-2, -1]]],
+        [["a"], ["<f4"], [[True]]],
+        [["a"], ["<f4"], [[1, True]]],
+        [["a"], ["<f4"], [[1.0]]],
+        [["a"], ["<f4"], [[None]]],
+        [["a"], ["<f4"], [[1, 1, 1, 1, 1]]],
+        [["a"], ["<f4"], [[0, 2**26, 2**26, 2**26]]],
+        [["a"], ["<f4"], [[0]]],
+        [["a"], ["<f4"], [[3]]],
+        [["a"], ["<f4"], ["1"]],
+        [["a"], ["<f4"], [1]],
+        [["a"], ["<f4"]],
+        [["a"], ["<f4"], []],
+        [["a"], [4], [[1]]],
+        [[7], ["<f4"], [[1]]],
+        [[["a"]], ["<f4"], [[1]]],
+        [["a"], [["<f4"]], [[1]]],
+        [["a", "a"], ["<f4", "<f4"], [[1], [0]]],
+        ["a", "a", "a"],
+        [[], [], []],
         [],
     ],
     ids=repr,
 )
-def test_a_column_that_lies_about_itself_is_a_wire_error(layout: object) -> None:
-    frames = [b"1234"] * (len(layout) if isinstance(layout, list) else 1)
+def test_a_column_that_lies_about_itself_is_a_wire_error(layout: list[object]) -> None:
     with pytest.raises(WireError):
-        wire.decode(sealed([{"kind": "x"}, layout], *(frames or [b"1234"])))
+        wire.decode(sealed([{"kind": "x"}, *layout], b"12345678"))
+
+
+@pytest.mark.parametrize("length", [0, 1, 40, 1 << 16, 1 << 32, 1 << 63])
+def test_a_header_that_lies_about_its_length_is_a_wire_error(length: int) -> None:
+    body = msgpack.packb([{"kind": "x"}, ["a"], ["<f4"], [[2]]])
+    with pytest.raises(WireError):
+        wire.decode(signed(wire.LENGTH.pack(length) + body + wire.GAPS[len(body) % wire.ALIGN] + b"12345678"))
 
 
 @pytest.mark.parametrize(
@@ -201,37 +260,38 @@ def test_a_column_that_lies_about_itself_is_a_wire_error(layout: object) -> None
     ids=repr,
 )
 def test_columns_that_contradict_each_other_are_a_wire_error(name: str, value: np.ndarray) -> None:
-    frames = wire.encode_episode(episode(2), stamp=STAMP)
+    message = wire.encode_episode(episode(2), stamp=STAMP)
     with pytest.raises(WireError):
-        wire.decode_episode(altered(frames, **{name: value}))
+        wire.decode_episode(altered(message, **{name: value}))
 
 
 def test_a_boolean_column_holds_nothing_but_0_and_1() -> None:
     with pytest.raises(WireError, match="above 1"):
-        wire.decode(sealed([{"kind": "x"}, [["a", "|b1", [1]]]], b"\x02"))
+        wire.decode(sealed([{"kind": "x"}, ["a"], ["|b1"], [[1]]], b"\x02" + bytes(7)))
 
 
 def test_a_message_beyond_the_limit_is_refused_before_it_is_read() -> None:
-    frames = wire.encode_episode(episode(), stamp=STAMP)
+    message = wire.encode_episode(episode(), stamp=STAMP)
+    wire.decode(message, max_bytes=len(message))
     with pytest.raises(WireError, match="too big"):
-        wire.decode(frames, max_bytes=100)
+        wire.decode(message, max_bytes=len(message) - 1)
+    names = [str(n) for n in range(wire.MAX_COLUMNS + 1)]
     with pytest.raises(WireError, match="too big"):
-        wire.decode([frames[0], *[b""] * wire.MAX_FRAMES])
+        wire.decode(sealed([{"kind": "x"}, names, ["<f4"] * len(names), [[0]] * len(names)]))
     with pytest.raises(WireError, match="too big"):
         wire.encode({"kind": "x", "text": "a" * wire.MAX_HEADER_BYTES})
 
 
 def test_another_schema_is_named_in_the_error() -> None:
-    frames = wire.encode({"kind": "x"})
-    other = wire.PREFIX.pack(wire.MAGIC, wire.SCHEMA + 1, 0) + frames[0][wire.PREFIX.size :]
-    with pytest.raises(WireError, match="schema 4, this program speaks 3"):
-        wire.decode([other])
+    message = wire.encode({"kind": "x"})
+    other = wire.PREFIX.pack(wire.MAGIC, wire.SCHEMA + 1, 0) + message[wire.PREFIX.size :]
+    with pytest.raises(WireError, match="schema 5, this program speaks 4"):
+        wire.decode(other)
 
 
 def test_a_deeply_nested_header_is_a_wire_error() -> None:
-    body = b"\x91" * 100_000 + b"\xc0"
     with pytest.raises(WireError):
-        wire.decode([wire.PREFIX.pack(wire.MAGIC, wire.SCHEMA, wire.checksum([body])) + body])
+        wire.decode(sealed_bytes(b"\x91" * 100_000 + b"\xc0"))
 
 
 def test_what_cannot_be_sent_is_refused_where_it_was_made() -> None:
