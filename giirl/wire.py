@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,7 +70,7 @@ def encode(header: Mapping[str, object], arrays: Mapping[str, Column] | None = N
         raise ValueError(f"a header needs a kind, got {header.get('kind')!r}")
     types: list[str] = []
     shapes: list[tuple[int, ...]] = []
-    columns: list[bytes | Column] = []
+    columns: list[Any] = []  # buffers, laid end to end
     for name, array in arrays.items() if arrays else ():
         dtype = NAMES.get(array.dtype)
         if dtype is None:
@@ -86,8 +85,7 @@ def encode(header: Mapping[str, object], arrays: Mapping[str, Column] | None = N
         body = msgpack.packb([dict(header), list(arrays or ()), types, shapes], unicode_errors="surrogatepass")
     except (TypeError, OverflowError) as error:
         raise ValueError(f"header of kind {header['kind']!r} cannot be packed: {error}") from error
-    parts: list[bytes | Column] = [LENGTH.pack(len(body)), body, GAPS[len(body) % ALIGN], *columns]
-    sealed = b"".join(parts)
+    sealed = b"".join([LENGTH.pack(len(body)), body, GAPS[len(body) % ALIGN], *columns])
     _check_limits(len(body), len(types), PREFIX.size + len(sealed), MAX_BYTES)
     return PREFIX.pack(MAGIC, SCHEMA, checksum(sealed)) + sealed
 
@@ -192,15 +190,14 @@ def expect(header: Header, kind: str) -> None:
         raise WireError(f"a message is of kind {header.get('kind')!r:.80}, wanted {kind!r}")
 
 
-@contextmanager
-def untrusted() -> Iterator[None]:
+class untrusted:  # noqa: N801 - it reads as a block; each message passes several, so it is no generator
     """Values are built here from what a peer sent: what the values refuse is the message's fault."""
-    try:
-        yield
-    except WireError:
-        raise
-    except ValueError as error:
-        raise WireError(str(error)) from error
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, ValueError) and not isinstance(error, WireError):
+            raise WireError(str(error)) from error
 
 
 def _check_limits(header_bytes: int, columns: int, size: int, max_bytes: int) -> None:
@@ -219,7 +216,7 @@ def _unpack_header(body: bytes) -> tuple[Header, list[tuple[Any, Any, Any]]]:
         raise WireError(f"a header is not msgpack: {error}") from error
     match content:
         case [{"kind": str()} as header, list() as names, list() as types, list() as shapes]:
-            if all(isinstance(key, str) for key in header) and len(names) == len(types) == len(shapes):
+            if set(map(type, header)) == {str} and len(names) == len(types) == len(shapes):
                 return header, list(zip(names, types, shapes, strict=True))
     raise WireError(f"a header is {content!r:.80}, wanted fields with a kind, and names, types and shapes of columns")
 

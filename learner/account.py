@@ -87,6 +87,10 @@ class Account:
         """Whether a checkpoint would free an actor that waits for one."""
         return self.full and self.peer is not None and self.floor > self.committed
 
+    def limit(self, credits_: int) -> int:
+        """It may send the sequences below."""
+        return self.done + max(0, credits_ - self.queued)
+
     def grant(self, credits_: int) -> Grant:
         return Grant(
             incarnation=self.incarnation,
@@ -95,7 +99,7 @@ class Account:
             judged=tuple(sorted(self.judged)),
             committed=self.committed,
             settled=self.settled,
-            limit=self.done + max(0, credits_ - self.queued),
+            limit=self.limit(credits_),
         )
 
     def _rise(self) -> None:

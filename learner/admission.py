@@ -203,7 +203,7 @@ class Admission:
     def _judge(self, actor: Account, stamp: Stamp, header: Header, arrays: Columns, size: int) -> None:
         if actor.has_judged(stamp.sequence):
             return self._refused("duplicate")
-        if stamp.sequence >= actor.grant(self._credits).limit:
+        if stamp.sequence >= actor.limit(self._credits):
             return self._refused("over_credit")  # not judged: it will come again
         self._metrics.trajectories_received.inc()
         actor.judge(stamp.sequence)

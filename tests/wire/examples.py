@@ -1,10 +1,12 @@
-"""Episodes to send: a small fixed one, and any that hypothesis can think of."""
+"""Episodes to send, a small fixed one and any that hypothesis can think of; and bytes that only look like a message."""
 
 from __future__ import annotations
 
+import msgpack
 import numpy as np
 from hypothesis import strategies as st
 
+from giirl import wire
 from giirl.spec import USES, Action, Episode, Goal, Outcome, Page, Trajectory, Verb
 from giirl.wire import Stamp
 
@@ -115,6 +117,21 @@ episodes = st.builds(
     trajectory=trajectories(),
     outcome=st.builds(Outcome, raw_reward=st.floats(-1, 1), ended=st.booleans()),
 )
+
+
+def sealed(body: object, columns: bytes = b"") -> bytes:
+    """A message whose checksum is right, whatever it says."""
+    return sealed_bytes(msgpack.packb(body), columns)
+
+
+def sealed_bytes(body: bytes, columns: bytes = b"") -> bytes:
+    """The same, of what may be no msgpack."""
+    return signed(wire.LENGTH.pack(len(body)) + body + wire.GAPS[len(body) % wire.ALIGN] + columns)
+
+
+def signed(rest: bytes) -> bytes:
+    """A prefix that suits whatever follows."""
+    return wire.PREFIX.pack(wire.MAGIC, wire.SCHEMA, wire.checksum(rest)) + rest
 
 
 def assert_same_trajectory(found: Trajectory, wanted: Trajectory) -> None:
