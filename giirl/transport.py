@@ -22,6 +22,7 @@ BACKLOG = 4096  # connections that may be on their way in: every actor comes bac
 MAX_SOCKETS = 1 << 16  # of one process: whoever plays a thousand actors has as many
 HEARTBEAT_MS = 2_000
 SILENCE_MS = 15_000  # a peer that answers no heartbeat for so long is gone
+MORE = int(zmq.DONTWAIT | zmq.SNDMORE)
 RETRY_MS = 100
 RETRY_MAX_MS = 1_000
 
@@ -114,7 +115,7 @@ class Router:
     def send(self, peer: bytes, message: bytes) -> bool:
         """False when the peer is gone or takes nothing more; never waits."""
         try:
-            self._socket.send(peer, zmq.DONTWAIT | zmq.SNDMORE)
+            self._socket.send(peer, MORE)
             self._socket.send(message, zmq.DONTWAIT)
         except zmq.ZMQError as error:
             if error.errno not in (zmq.EAGAIN, zmq.EHOSTUNREACH):

@@ -43,7 +43,9 @@ FILE_MAGIC = b"giirl episodes 3\n"
 COUNT = struct.Struct("<I")
 checksum = xxh3_64_intdigest
 
+ALL = [-1]  # what numpy takes for "as much as there is"; it refuses other negative lengths by itself
 Header = dict[str, Any]
+Layout = tuple[list[Any], list[Any], list[Any]]  # names, types and shapes of columns, as somebody sent them
 
 
 class WireError(ValueError):
@@ -106,8 +108,8 @@ def decode(message: bytes, *, max_bytes: int = MAX_BYTES) -> tuple[Header, Colum
     if (found := checksum(sealed)) != promised:
         raise WireError(f"a message is damaged: checksum {found:016x}, wanted {promised:016x}")
     header, layout = _unpack_header(message[start : start + length])
-    _check_limits(length, len(layout), len(message), max_bytes)
-    return header, _columns(layout, message, start + _filled_up(length))
+    _check_limits(length, len(layout[0]), len(message), max_bytes)
+    return header, _columns(layout, message, start + length + -length % ALIGN)
 
 
 def encode_episode(episode: Episode, *, stamp: Stamp) -> bytes:
@@ -208,7 +210,7 @@ def _check_limits(header_bytes: int, columns: int, size: int, max_bytes: int) ->
         )
 
 
-def _unpack_header(body: bytes) -> tuple[Header, list[tuple[Any, Any, Any]]]:
+def _unpack_header(body: bytes) -> tuple[Header, Layout]:
     try:
         # What the body's own length does not bound (strings, lists, maps) msgpack bounds by it.
         content = msgpack.unpackb(body, unicode_errors="surrogatepass", max_bin_len=0, max_ext_len=0)
@@ -217,21 +219,22 @@ def _unpack_header(body: bytes) -> tuple[Header, list[tuple[Any, Any, Any]]]:
     match content:
         case [{"kind": str()} as header, list() as names, list() as types, list() as shapes]:
             if set(map(type, header)) == {str} and len(names) == len(types) == len(shapes):
-                return header, list(zip(names, types, shapes, strict=True))
+                return header, (names, types, shapes)
     raise WireError(f"a header is {content!r:.80}, wanted fields with a kind, and names, types and shapes of columns")
 
 
-def _columns(layout: list[tuple[Any, Any, Any]], message: bytes, offset: int) -> Columns:
+def _columns(layout: Layout, message: bytes, offset: int) -> Columns:
     """Every message has dozens of these: what is as it should be passes few questions, and numpy asks the others."""
     arrays: Columns = {}
-    for name, dtype, shape in layout:
+    ndarray = np.ndarray
+    for name, dtype, shape in zip(*layout, strict=True):
         try:
             kind = DTYPES[dtype]
             if type(name) is not str or name in arrays or type(shape) is not list or len(shape) > MAX_DIMS:
                 raise ValueError("no name of its own, or no shape")
-            if shape and min(shape) < 0:
-                raise ValueError("less than nothing")
-            array: Column = np.ndarray(shape, kind, message, offset)
+            if shape == ALL:
+                raise ValueError("no length")
+            array: Column = ndarray(shape, kind, message, offset)
         except (TypeError, ValueError, KeyError) as error:
             told = f"column {name!r:.80} of type {dtype!r:.80} and shape {shape!r:.80}"
             raise WireError(f"{told} is none of this message: {error}") from error
@@ -239,14 +242,10 @@ def _columns(layout: list[tuple[Any, Any, Any]], message: bytes, offset: int) ->
         if kind is BOOLEAN and message[offset : offset + size].translate(None, b"\0\1"):
             raise WireError(f"column {name!r:.80} holds a byte above 1, wanted 0 for False and 1 for True")
         arrays[name] = array
-        offset += _filled_up(size)
+        offset += size + -size % ALIGN
     if offset != len(message):
         raise WireError(f"a message of {len(message)} bytes has columns up to byte {offset}")
     return arrays
-
-
-def _filled_up(size: int) -> int:
-    return size + -size % ALIGN
 
 
 def _number(data: bytes, offset: int) -> tuple[int, int]:
