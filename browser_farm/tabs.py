@@ -176,7 +176,7 @@ class Tabs:
         reply = self._call_all("Page.bringToFront", {tab: {}})[tab]
         if not isinstance(reply, Failure):
             reply = self._call_all("Page.captureScreenshot", {tab: shot})[tab]
-        self._tools.post(BROWSER, "Target.activateTarget", self._aside())
+        self._step_aside()
         if isinstance(reply, Failure):
             return reply
         if not reply.result:
@@ -189,6 +189,7 @@ class Tabs:
         old = self._hubs[index]
         old.close()
         self._hubs[index] = self._open_hub(list(old.tabs))
+        self._step_aside()
         return set(old.tabs)
 
     def has_crashed(self, tab: int) -> bool:
@@ -212,19 +213,20 @@ class Tabs:
         self._devtools = DevTools(url, timeout_s=self._launch_timeout_s, on_event=self._on_event)
         hubs = max(min(self._count, PROCESSES), math.ceil(self._count / LARGEST_HUB))
         self._hubs = [self._open_hub(range(self._count)[first::hubs]) for first in range(hubs)]
+        # What Chrome began with has a process of its own.
+        self._devtools.post(BROWSER, "Target.closeTarget", {"targetId": self._chrome.first_target})
+        self._step_aside()
 
     def _open_hub(self, numbers: Sequence[int]) -> Hub:
         tools = self._tools
         try:
-            hub = Hub(tools, self.chrome.hub_url, numbers, view=self._view, timeout_s=self._launch_timeout_s)
-            # A tab that is shown draws frames. The one that Chrome began with draws nothing.
-            tools.call(BROWSER, "Target.activateTarget", self._aside(), timeout_s=self._launch_timeout_s)
+            return Hub(tools, self.chrome.hub_url, numbers, view=self._view, timeout_s=self._launch_timeout_s)
         except (TimeoutError, RuntimeError) as error:
             raise BrowserGone(f"Chrome opens no tab: {error}") from error
-        return hub
 
-    def _aside(self) -> Json:
-        return {"targetId": self.chrome.first_target}
+    def _step_aside(self) -> None:
+        """Show what draws nothing: a tab that is shown draws frames."""
+        self._tools.post(BROWSER, "Target.activateTarget", {"targetId": self._hubs[0].page.target})
 
     def _hub(self, tab: int) -> Hub:
         return next(hub for hub in self._hubs if tab in hub.tabs)
