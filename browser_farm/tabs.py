@@ -6,7 +6,7 @@ import base64
 import json
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -97,7 +97,6 @@ class Tabs:
         """
         answers: dict[int, Any | Failure] = {}
         while left := {tab: words for tab, words in questions.items() if tab not in answers}:
-            deadline = time.monotonic() + patience * self._call_timeout_s
             asked: dict[int, tuple[Hub, int, list[int]]] = {}  # message -> whom, call, which of its tabs
             for hub in self._hubs:
                 if mine := {tab: words for tab, words in left.items() if tab in hub.tabs}:
@@ -107,7 +106,7 @@ class Tabs:
             def given_up(asked: dict[int, tuple[Hub, int, list[int]]] = asked) -> set[int]:
                 return {message for message, (hub, _, _) in asked.items() if hub.crashed}
 
-            replies = self._tools.receive(asked, deadline=deadline, given_up=given_up)
+            replies = self._receive(asked, patience, given_up)
             for message, (hub, number, tabs) in asked.items():
                 if message in replies:
                     answers |= _answers(replies[message], tabs)
@@ -235,14 +234,12 @@ class Tabs:
         return self._hub(tab).tabs[tab]
 
     def _call_all(self, method: str, params: Mapping[int, Json], *, patience: int = 1) -> dict[int, Reply | Failure]:
-        deadline = time.monotonic() + patience * self._call_timeout_s
-        tools = self._tools
-        calls = {tab: tools.send(self._tab(tab).session, method, each) for tab, each in params.items()}
+        calls = {tab: self._tools.send(self._tab(tab).session, method, each) for tab, each in params.items()}
 
         def given_up() -> set[int]:
             return {call for tab, call in calls.items() if self.has_crashed(tab)}
 
-        replies = tools.receive(calls.values(), deadline=deadline, given_up=given_up)
+        replies = self._receive(calls.values(), patience, given_up)
         answers: dict[int, Reply | Failure] = {}
         for tab, call in calls.items():
             if call in replies:
@@ -255,6 +252,19 @@ class Tabs:
         if hung:
             self._interrupt(hung)
         return answers
+
+    def _receive(self, calls: Iterable[int], patience: int, given_up: Callable[[], set[int]]) -> dict[int, Reply]:
+        """What came within so many times the time of a call. A Chrome that is silent itself is not waited for."""
+        left, replies = set(calls), dict[int, Reply]()
+        for turn in range(1, patience + 1):
+            deadline = time.monotonic() + self._call_timeout_s
+            replies |= self._tools.receive(left, deadline=deadline, given_up=given_up, again=turn < patience)
+            left -= replies.keys() | given_up()
+            if not left:
+                break
+            if turn < patience:
+                self._check_alive()
+        return replies
 
     def _hung(self) -> Failure:
         return Failure(cause="page_hung", words=f"no answer in {self._call_timeout_s:g} s")
