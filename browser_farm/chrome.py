@@ -34,7 +34,9 @@ FLAGS = (
     "--disable-component-update",
     "--disable-default-apps",
     "--disable-extensions",
-    "--disable-features=Translate,OptimizationHints,MediaRouter,DialMediaRouteProvider",
+    # What Chrome would start for a person, each in a process of its own, or fetch for one.
+    "--disable-features=Translate,OptimizationHints,MediaRouter,DialMediaRouteProvider,"
+    "SpareRendererForSitePerProcess,WebUIOmniboxPopup,WebUIOmniboxAimPopup",
     "--disable-gpu",
     "--disable-hang-monitor",
     "--disable-ipc-flooding-protection",
@@ -44,9 +46,11 @@ FLAGS = (
     "--disable-renderer-backgrounding",
     "--disable-smooth-scrolling",
     "--disable-sync",
+    "--enable-features=NetworkServiceInProcess2",
     "--force-color-profile=srgb",
     "--force-device-scale-factor=1",
     "--host-resolver-rules=MAP * ~NOTFOUND",  # a page has no network
+    "--js-flags=--max-semi-space-size=2",  # MB; many pages share a heap, which else grows with what is young in it
     "--lang=en-US",
     "--metrics-recording-only",
     "--mute-audio",

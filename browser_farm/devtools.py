@@ -65,10 +65,13 @@ class DevTools:
         """Start a call whose reply nobody wants, safe to use inside an event handler."""
         self._write(session, method, params)
 
-    def receive(self, calls: Iterable[int], *, deadline: float, given_up: Callable[[], set[int]]) -> dict[int, Reply]:
+    def receive(
+        self, calls: Iterable[int], *, deadline: float, given_up: Callable[[], set[int]], again: bool = False
+    ) -> dict[int, Reply]:
         """Replies to `calls` that came before `deadline` (time.monotonic); a call that did not is missing.
 
-        `given_up` names calls that no longer can be answered, because their tab has crashed.
+        `given_up` names calls that no longer can be answered, because their tab has crashed. A late reply is thrown
+        away, unless its call is to be received `again`.
         """
         waiting = set(calls)
         replies: dict[int, Reply] = {}
@@ -79,7 +82,8 @@ class DevTools:
             waiting -= given_up()
             if not waiting or not self.pump(deadline):
                 break
-        self._awaited -= waiting
+        if not again:
+            self._awaited -= waiting
         return replies
 
     def call(self, session: str, method: str, params: Mapping[str, Any] | None = None, *, timeout_s: float) -> Json:

@@ -6,7 +6,7 @@ import base64
 import json
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -97,7 +97,6 @@ class Tabs:
         """
         answers: dict[int, Any | Failure] = {}
         while left := {tab: words for tab, words in questions.items() if tab not in answers}:
-            deadline = time.monotonic() + patience * self._call_timeout_s
             asked: dict[int, tuple[Hub, int, list[int]]] = {}  # message -> whom, call, which of its tabs
             for hub in self._hubs:
                 if mine := {tab: words for tab, words in left.items() if tab in hub.tabs}:
@@ -107,7 +106,7 @@ class Tabs:
             def given_up(asked: dict[int, tuple[Hub, int, list[int]]] = asked) -> set[int]:
                 return {message for message, (hub, _, _) in asked.items() if hub.crashed}
 
-            replies = self._tools.receive(asked, deadline=deadline, given_up=given_up)
+            replies = self._receive(asked, patience, given_up)
             for message, (hub, number, tabs) in asked.items():
                 if message in replies:
                     answers |= _answers(replies[message], tabs)
@@ -176,7 +175,7 @@ class Tabs:
         reply = self._call_all("Page.bringToFront", {tab: {}})[tab]
         if not isinstance(reply, Failure):
             reply = self._call_all("Page.captureScreenshot", {tab: shot})[tab]
-        self._tools.post(BROWSER, "Target.activateTarget", self._aside())
+        self._step_aside()
         if isinstance(reply, Failure):
             return reply
         if not reply.result:
@@ -189,6 +188,7 @@ class Tabs:
         old = self._hubs[index]
         old.close()
         self._hubs[index] = self._open_hub(list(old.tabs))
+        self._step_aside()
         return set(old.tabs)
 
     def has_crashed(self, tab: int) -> bool:
@@ -212,19 +212,20 @@ class Tabs:
         self._devtools = DevTools(url, timeout_s=self._launch_timeout_s, on_event=self._on_event)
         hubs = max(min(self._count, PROCESSES), math.ceil(self._count / LARGEST_HUB))
         self._hubs = [self._open_hub(range(self._count)[first::hubs]) for first in range(hubs)]
+        # What Chrome began with has a process of its own.
+        self._devtools.post(BROWSER, "Target.closeTarget", {"targetId": self._chrome.first_target})
+        self._step_aside()
 
     def _open_hub(self, numbers: Sequence[int]) -> Hub:
         tools = self._tools
         try:
-            hub = Hub(tools, self.chrome.hub_url, numbers, view=self._view, timeout_s=self._launch_timeout_s)
-            # A tab that is shown draws frames. The one that Chrome began with draws nothing.
-            tools.call(BROWSER, "Target.activateTarget", self._aside(), timeout_s=self._launch_timeout_s)
+            return Hub(tools, self.chrome.hub_url, numbers, view=self._view, timeout_s=self._launch_timeout_s)
         except (TimeoutError, RuntimeError) as error:
             raise BrowserGone(f"Chrome opens no tab: {error}") from error
-        return hub
 
-    def _aside(self) -> Json:
-        return {"targetId": self.chrome.first_target}
+    def _step_aside(self) -> None:
+        """Show what draws nothing: a tab that is shown draws frames."""
+        self._tools.post(BROWSER, "Target.activateTarget", {"targetId": self._hubs[0].page.target})
 
     def _hub(self, tab: int) -> Hub:
         return next(hub for hub in self._hubs if tab in hub.tabs)
@@ -233,14 +234,12 @@ class Tabs:
         return self._hub(tab).tabs[tab]
 
     def _call_all(self, method: str, params: Mapping[int, Json], *, patience: int = 1) -> dict[int, Reply | Failure]:
-        deadline = time.monotonic() + patience * self._call_timeout_s
-        tools = self._tools
-        calls = {tab: tools.send(self._tab(tab).session, method, each) for tab, each in params.items()}
+        calls = {tab: self._tools.send(self._tab(tab).session, method, each) for tab, each in params.items()}
 
         def given_up() -> set[int]:
             return {call for tab, call in calls.items() if self.has_crashed(tab)}
 
-        replies = tools.receive(calls.values(), deadline=deadline, given_up=given_up)
+        replies = self._receive(calls.values(), patience, given_up)
         answers: dict[int, Reply | Failure] = {}
         for tab, call in calls.items():
             if call in replies:
@@ -253,6 +252,19 @@ class Tabs:
         if hung:
             self._interrupt(hung)
         return answers
+
+    def _receive(self, calls: Iterable[int], patience: int, given_up: Callable[[], set[int]]) -> dict[int, Reply]:
+        """What came within so many times the time of a call. A Chrome that is silent itself is not waited for."""
+        left, replies = set(calls), dict[int, Reply]()
+        for turn in range(1, patience + 1):
+            deadline = time.monotonic() + self._call_timeout_s
+            replies |= self._tools.receive(left, deadline=deadline, given_up=given_up, again=turn < patience)
+            left -= replies.keys() | given_up()
+            if not left:
+                break
+            if turn < patience:
+                self._check_alive()
+        return replies
 
     def _hung(self) -> Failure:
         return Failure(cause="page_hung", words=f"no answer in {self._call_timeout_s:g} s")

@@ -50,7 +50,7 @@ def _reproduce(
     json_file: Path | None,
 ) -> None:
     """Runs that share nothing but the machine play in one thread each; a single one has the machine to itself."""
-    from giirl.run_study import plan, record, run_all
+    from giirl.run_study import plan, record, run_all, toggle_all
 
     writable(json_file)
     display, since_s = Display(), time.monotonic()
@@ -58,6 +58,8 @@ def _reproduce(
     base = (*base_settings(study, demos), f"runtime={'local' if alone else 'serial'}", *changes)
     runs = plan(base, study.variants, seeds, ROOT)
     run_all(runs, at_once=at_once, display=display)
+    if study.toggles:
+        toggle_all(runs, display)
     result = summary(name, [record(run) for run in runs])
     if alone:
         result["wall_seconds"] = round(time.monotonic() - since_s, 1)
@@ -81,6 +83,11 @@ def summary(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     for variant in dict.fromkeys(run["variant"] for run in runs):
         mine = [run for run in runs if run["variant"] == variant]
         variants[variant] = {"tasks": pooled(mine), "seeds": [run["seed"] for run in mine]}
+        variants[variant]["lowest_last_third"] = {task: _lowest(mine, task) for task in variants[variant]["tasks"]}
+        if toggles := [run["toggle"] for run in mine if "toggle" in run]:
+            variants[variant]["toggle"] = {
+                name: min(found[name] for found in toggles) for name in ("own_goal_top1", "swapped_goal_top1")
+            }
         for group in ("trained_goals", "held_out_goals"):
             if all(group in row for run in mine for row in run["tasks"].values()):
                 variants[variant][group] = pooled(mine, group)
@@ -103,9 +110,19 @@ def study_table(title: str, result: dict[str, Any]) -> Table:
     for name, found in result["variants"].items():
         cells = [_cell(found["tasks"][task]) if task in found["tasks"] else "-" for task in tasks]
         table.add_row(name, str(len(found["seeds"])), *cells)
+        lowest = [found["lowest_last_third"].get(task) for task in tasks]
+        table.add_row("  lowest in the last third", "", *("-" if low is None else f"{low:.2f}" for low in lowest))
+        if "toggle" in found:
+            own, swapped = (found["toggle"][name] for name in ("own_goal_top1", "swapped_goal_top1"))
+            table.add_row(f"  goal's button first: {own:.3f}, after a swap {swapped:.3f}")
         if "held_out_goals" in found:
             table.add_row("  goals never seen", "", *(_cell(found["held_out_goals"][task]) for task in tasks))
     return table
+
+
+def _lowest(runs: Sequence[dict[str, Any]], task: str) -> float | None:
+    """Of all seeds; None where no run was long enough to tell."""
+    return min((low for run in runs if (low := run["lowest_last_third"][task]) is not None), default=None)
 
 
 def _cell(row: dict[str, Any]) -> str:

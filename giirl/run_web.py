@@ -49,6 +49,20 @@ NETS = (
     Variant(name="slower as the policy improves", changes=("discriminator.slow=accuracy",)),
     Variant(name="gradient penalty 1", changes=("discriminator.gradient_penalty=1",)),
 )
+DEFAULTS = (  # one thing changed at a time
+    GIIRL,
+    Variant(name="plain Algorithm 1", changes=(*PLAIN, "discriminator.final_rate=1", "policy.final_rate=1")),
+    Variant(name="without the policy's actions on experts' pages", changes=("discriminator.demo_states=0",)),
+    Variant(name="without actions of chance", changes=("discriminator.chance=0",)),
+    Variant(name="without wrong goals", changes=("discriminator.wrong_goal=0",)),
+    Variant(name="without renaming", changes=("discriminator.rename=0",)),
+    Variant(name="without replay", changes=("discriminator.replay=0",)),
+    Variant(name="with a gradient penalty of 1", changes=("discriminator.gradient_penalty=1",)),
+    Variant(name="the reward not asked about other actions", changes=("policy.asked=0",)),
+    Variant(name="learning rates that do not fall", changes=("discriminator.final_rate=1", "policy.final_rate=1")),
+    CLONING,
+    Variant(name="started by 200 updates of cloning", changes=("policy.cloning_start=200",)),
+)
 FOLLOWERS = (
     GIIRL,
     CLONING,
@@ -66,6 +80,7 @@ class Study:
     settings: tuple[str, ...] = ()
     pages: int = 200
     curves: bool = False  # whether success against environment steps is drawn
+    toggles: bool = False  # whether each learned reward is asked for other goals than the page's own
 
 
 def _budgets() -> tuple[Variant, ...]:
@@ -101,9 +116,10 @@ def _families() -> tuple[Variant, ...]:
 
 
 STUDIES = {
-    "table-4.1": Study(what="Success on the thesis's four web tasks", variants=(GIIRL,), pages=1000),
+    "table-4.1": Study(what="Success on the thesis's four web tasks", variants=(GIIRL,), pages=1000, toggles=True),
     "figure-4.7": Study(what="True success while a reward is learned", variants=(GIIRL,), pages=1000, curves=True),
     "figure-4.8": Study(what="GIIRL and cloning as they train", variants=(GIIRL, CLONING), pages=1000, curves=True),
+    "defaults": Study(what="What the defaults are worth", variants=DEFAULTS, toggles=True),
     "baselines": Study(what="What GIIRL is compared with, on the same nets", variants=BASELINES, curves=True),
     "budgets": Study(what="Few demonstrations, and spoiled ones", variants=_budgets()),
     "frozen": Study(what="Fresh policies on the frozen reward", variants=FOLLOWERS, curves=True),

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from browser_farm.farm import ChromeFarm
-from browser_farm.miniwob import tasks
+from browser_farm.miniwob import STICKY, tasks
 from giirl.spec import Action, Command, EpisodeSpec, Observation, StepResult, Verb
 from tests.farm.real_farm import seen
 
 TABS = 8
+ROUNDS = 60  # of random play, until each page has shown what it carries over
 
 
 def registered() -> set[str]:
@@ -81,6 +82,25 @@ def test_same_seed_same_page_in_whatever_tab_and_after_whatever_history(chrome: 
     turned = names[1:] + names[:1]
     elsewhere = {tab: EpisodeSpec(task=name, seed=7) for tab, name in enumerate(turned)}
     assert {turned[tab]: seen(shown) for tab, shown in chrome.reset(elsewhere).items()} == fresh
+
+
+@pytest.mark.chrome
+@pytest.mark.slow
+@pytest.mark.parametrize("names", [sorted(STICKY)[first : first + TABS] for first in range(0, len(STICKY), TABS)])
+def test_pages_that_are_loaded_anew_would_carry_something_over_to_the_next_episode(
+    chrome: ChromeFarm, names: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there = {tab: EpisodeSpec(task=name, seed=7) for tab, name in enumerate(names)}
+    chrome.reset({tab: EpisodeSpec(task="click-test", seed=0) for tab in there})
+    fresh = {tab: seen(observation) for tab, observation in chrome.reset(there).items()}
+    monkeypatch.setattr("browser_farm.farm.needs_fresh_document", lambda task: False)
+    carried: set[str] = set()
+    for number in range(ROUNDS):
+        disturb(chrome, names, np.random.default_rng(number))
+        carried |= {names[tab] for tab, observation in chrome.reset(there).items() if seen(observation) != fresh[tab]}
+        if len(carried) == len(names):
+            break
+    assert carried == set(names)
 
 
 @pytest.mark.chrome
