@@ -65,25 +65,33 @@ def bench_ingest() -> Result:
     queued and granted ("taken": built into episodes and handed over, too). Ray's are given by this process to an actor
     that does nothing: header and columns in one call, as anybody would; also with each column an argument of its own,
     which Ray then sends along with the call because each is below its limit of 100 KiB; also put into the object store
-    first; also as bytes that are encoded already.
+    first; also as bytes that somebody has encoded already, in two halves below that limit, which is as fast as Ray
+    gets. The first round, in which memory is new to the processes, is not counted for either.
     """
     message = wire.encode_episode(model(10, BIG, seed=0), stamp=Feed.stamp(0, 0))
     header, columns = wire.decode(message)
-    rates: dict[str, list[float]] = {name: [] for name in ("queued", "taken", "call", "inlined", "store", "bytes")}
-    with _ray_peer() as (platform, peer):
+    halves = message[: len(message) // 2], message[len(message) // 2 :]
+    with _hearing(EPISODES) as ingest, feeding(ingest.address, 1, BIG) as feed, _ray_peer() as (platform, peer):
         ways: dict[str, Callable[[], Any]] = {
             "call": lambda: peer.call("take", header, columns),
             "inlined": lambda: peer.call("take", header, *columns.values()),
             "store": lambda: peer.call("take", header, platform.share(columns)),
-            "bytes": lambda: peer.call("take", message),
+            "bytes": lambda: peer.call("take", *halves),
         }
-        for _ in range(ROUNDS):
-            queued_s, taken_s = _stream(EPISODES)
-            rates["queued"].append(EPISODES / queued_s)
-            rates["taken"].append(EPISODES / taken_s)
+        rates: dict[str, list[float]] = {name: [] for name in ("queued", "taken", *ways)}
+        for _ in range(ROUNDS + 1):
+            since_s = time.perf_counter()
+            feed.go(EPISODES)
+            while ingest.queued < EPISODES:
+                if time.perf_counter() - since_s > WAIT_S:
+                    raise TimeoutError(f"{ingest.queued} of {EPISODES} episodes within {WAIT_S} s")
+                time.sleep(0.002)
+            rates["queued"].append(EPISODES / (time.perf_counter() - since_s))
+            ingest.take(EPISODES, WAIT_S)
+            rates["taken"].append(EPISODES / (time.perf_counter() - since_s))
             for name, call in ways.items():
                 rates[name].append(_pipelined(call, EPISODES // 5))
-    median = {name: statistics.median(some) for name, some in rates.items()}
+    median = {name: statistics.median(some[1:]) for name, some in rates.items()}
     return {
         "bytes": len(message),
         "trajectories_per_s": round(median["queued"]),
@@ -143,21 +151,21 @@ def bench_scoring() -> Result:
 
 
 def bench_scale() -> Result:
-    """The learner's processor time per trajectory of 10 KB, with ten simulated actors and with a thousand."""
+    """The learner's processor time per trajectory of 10 KB, with ten simulated actors and with a thousand.
+
+    Never both at once: a thousand who wait still send heartbeats, which would count as the cost of the ten.
+    """
     cost: dict[int, list[float]] = {10: [], ACTORS: []}
-    with ExitStack() as open_things:
-        sides = []
+    for _ in range(ROUNDS):
         for actors in cost:
-            ingest = open_things.enter_context(_hearing())
-            sides.append((actors, ingest, open_things.enter_context(feeding(ingest.address, actors, SMALL))))
-        for number in range(ROUNDS + 1):
-            for actors, ingest, feed in sides:
-                feed.go(ACTORS)
-                since_s = time.process_time()
-                for _ in range(ACTORS // 40):
-                    ingest.take(40, WAIT_S)
-                if number:  # the first is for everybody to say hello
-                    cost[actors].append((time.process_time() - since_s) / ACTORS)
+            with _hearing() as ingest, feeding(ingest.address, actors, SMALL) as feed:
+                for number in range(4):
+                    feed.go(ACTORS)
+                    since_s = time.process_time()
+                    for _ in range(ACTORS // 40):
+                        ingest.take(40, WAIT_S)
+                    if number:  # the first is for everybody to say hello
+                        cost[actors].append((time.process_time() - since_s) / ACTORS)
     us = {actors: 1e6 * statistics.median(some) for actors, some in cost.items()}
     return {
         "actors": ACTORS,
@@ -179,22 +187,6 @@ def _timed(work: Callable[[], object]) -> float:
     since_s = time.perf_counter()
     work()
     return time.perf_counter() - since_s
-
-
-def _stream(episodes: int) -> tuple[float, float]:
-    """Seconds until so many are verified and queued; and until all of them are taken, too."""
-    with _hearing(credits_=episodes) as ingest, feeding(ingest.address, 1, BIG) as feed:
-        feed.go(1)
-        ingest.take(1, WAIT_S)  # everybody is there
-        since_s = time.perf_counter()
-        feed.go(episodes)
-        while ingest.queued < episodes:
-            if time.perf_counter() - since_s > WAIT_S:
-                raise TimeoutError(f"{ingest.queued} of {episodes} episodes within {WAIT_S} s")
-            time.sleep(0.002)
-        queued_s = time.perf_counter() - since_s
-        ingest.take(episodes, WAIT_S)
-        return queued_s, time.perf_counter() - since_s
 
 
 def _hearing(credits_: int = 4) -> Any:
