@@ -20,8 +20,28 @@ ROOT = Path("runs/studies")
 
 
 def commands() -> list[click.Command]:
-    """One for each study."""
-    return [_command(name, study) for name, study in STUDIES.items()]
+    """One for each study, and one for all there is to reproduce."""
+    return [*(_command(name, study) for name, study in STUDIES.items()), everything]
+
+
+@click.command("all")
+@click.option("--demos", type=click.Path(path_type=Path), help="Public human recordings; scripted experts if not.")
+@click.option("--seeds", type=click.IntRange(1), default=5, show_default=True, help="How many, of each web study.")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("runs/reproduced"), show_default=True)
+@click.pass_context
+def everything(context: click.Context, demos: Path | None, seeds: int, out: Path) -> None:
+    """Every figure, table and study, each into its own JSON: a day's work. The same command goes on."""
+    group = context.parent.command if context.parent else None
+    assert isinstance(group, click.Group)
+    for name, command in group.commands.items():
+        file = out / f"{name}.json"
+        if command is context.command or file.exists():
+            continue
+        out.mkdir(parents=True, exist_ok=True)
+        Display().say(f"{name}: {file}")
+        given = {"demos": demos, "seeds": seeds} if name in STUDIES else {"out": out}
+        known = {parameter.name for parameter in command.params}
+        context.invoke(command, json_file=file, **{key: value for key, value in given.items() if key in known})
 
 
 def _command(name: str, study: Study) -> click.Command:

@@ -50,7 +50,7 @@ def joint(seed: int = 0, layout_seed: int = 1000) -> Config:
         iterations=150,
         rollout_batch=16,
         discriminator=dataclasses.replace(
-            thesis().discriminator, learning_rate=1e-3, updates=8, clip=5.0, wrong_goal=5.0
+            thesis().discriminator, learning_rate=1e-3, updates=8, clip=5.0, wrong_goal=12.0
         ),
         policy=PolicyConfig(updates=60, gamma=0.9, entropy=0.05, learning_rate=3e-3),
         cloning=CloningConfig(batch=8),

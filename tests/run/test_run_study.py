@@ -6,7 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
+from click.testing import CliRunner
 
 from giirl.cli_reproduce_web import commands, study_table, summary
 from giirl.figures import draw_successes
@@ -104,3 +106,35 @@ def test_every_study_is_made_of_settings_that_exist_and_has_its_command(name: st
         assert len({run.folder for run in runs}) == len(study.variants)
         assert all(run.config.evaluate.episodes == study.pages for run in runs)
     assert name in {command.name for command in commands()}
+
+
+def test_all_is_every_command_with_what_it_takes_and_none_that_is_done(tmp_path: Path) -> None:
+    called: list[tuple[object, ...]] = []
+
+    @click.command("figure-x")
+    @click.option("--out", type=click.Path(path_type=Path))
+    @click.option("--seeds", type=int, default=10)
+    @click.option("--json", "json_file", type=click.Path(path_type=Path))
+    def figure(out: Path, seeds: int, json_file: Path) -> None:
+        called.append(("figure", out, seeds, json_file))
+
+    @click.command("frozen")
+    @click.option("--demos", type=click.Path(path_type=Path))
+    @click.option("--seeds", type=int, default=1)
+    @click.option("--set", "changes", multiple=True)
+    @click.option("--json", "json_file", type=click.Path(path_type=Path))
+    def study(demos: Path, seeds: int, changes: tuple[str, ...], json_file: Path) -> None:
+        called.append(("study", demos, seeds, changes, json_file))
+
+    (everything,) = (command for command in commands() if command.name == "all")
+    group = click.Group("reproduce", commands=[figure, study, everything])
+    words = ["all", "--demos", "there", "--seeds", "3", "--out", str(tmp_path)]
+    CliRunner().invoke(group, words, catch_exceptions=False)
+    done = tmp_path / "frozen.json"
+    assert called == [
+        ("figure", tmp_path, 10, tmp_path / "figure-x.json"),
+        ("study", Path("there"), 3, (), done),
+    ]
+    done.write_text("{}")
+    CliRunner().invoke(group, words, catch_exceptions=False)
+    assert [each[0] for each in called] == ["figure", "study", "figure"]
