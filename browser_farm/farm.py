@@ -15,9 +15,10 @@ from PIL import Image
 
 from browser_farm import pages
 from browser_farm import trusted as trusted_input
+from browser_farm.answers import Failure
 from browser_farm.devtools import BrowserGone
 from browser_farm.miniwob import needs_fresh_document, page_url
-from browser_farm.tabs import Failure, Tabs
+from browser_farm.tabs import Tabs
 from giirl.spec import Command, EpisodeSpec, Goal, Observation, StepResult, Verb
 
 OPEN_ATTEMPTS = 4  # as the tab is, in a mended tab, in another tab, in another Chrome

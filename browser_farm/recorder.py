@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from browser_farm import pages
+from browser_farm.answers import Failure
 from browser_farm.devtools import BrowserGone
 from browser_farm.miniwob import page_url
-from browser_farm.tabs import Failure, Tabs
+from browser_farm.tabs import Tabs
 from giirl.keys import chord
 from giirl.spec import (
     DEMONSTRATION,

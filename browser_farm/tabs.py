@@ -7,12 +7,12 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import tenacity
 
 from browser_farm import pages
+from browser_farm.answers import Failure, answers_of, evaluated
 from browser_farm.chrome import Chrome, LaunchFailed
 from browser_farm.devtools import BROWSER, BrowserGone, DevTools, Json, Reply, browser_url
 from browser_farm.hub import Hub, Tab
@@ -22,14 +22,6 @@ LONGEST_BACK_OFF_S = 5.0
 PROCESSES = 2  # renderers that share the tabs, so that one page computes while another is read
 OPENING = 4  # times as long as a call may take may a document take to open
 LARGEST_HUB = 16  # tabs of one renderer, which live and die together
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Failure:
-    """Why a tab gave no value: `page_hung`, `tab_crashed`, `navigated` or `page_error`, and in words."""
-
-    cause: str
-    words: str = ""
 
 
 class Tabs:
@@ -109,7 +101,7 @@ class Tabs:
             replies = self._receive(asked, patience, given_up)
             for message, (hub, number, tabs) in asked.items():
                 if message in replies:
-                    answers |= _answers(replies[message], tabs)
+                    answers |= answers_of(replies[message], tabs)
                 elif hub.crashed:
                     answers |= dict.fromkeys(tabs, Failure(cause="tab_crashed"))
                 else:
@@ -131,7 +123,7 @@ class Tabs:
             for tab, expression in expressions.items()
         }
         replies = self._call_all("Runtime.evaluate", params, patience=OPENING if promised else 1)
-        return {tab: reply if isinstance(reply, Failure) else _evaluated(reply) for tab, reply in replies.items()}
+        return {tab: reply if isinstance(reply, Failure) else evaluated(reply) for tab, reply in replies.items()}
 
     def navigate(self, urls: Mapping[int, str]) -> dict[int, Failure]:
         """Show a url in each tab, all at the same time; only those that failed are in the answer."""
@@ -147,7 +139,6 @@ class Tabs:
 
     def input(self, wanted: Mapping[int, Sequence[tuple[str, Json]]]) -> dict[int, Failure]:
         """Send each tab its events in order, all tabs at the same time; only those that failed are in the answer."""
-        deadline = time.monotonic() + self._call_timeout_s
         calls = {
             tab: {self._tools.send(self._tab(tab).session, method, params) for method, params in events}
             for tab, events in wanted.items()
@@ -156,7 +147,7 @@ class Tabs:
         def given_up() -> set[int]:
             return {call for tab, mine in calls.items() if self.has_crashed(tab) for call in mine}
 
-        replies = self._tools.receive(set().union(*calls.values()), deadline=deadline, given_up=given_up)
+        replies = self._receive(set().union(*calls.values()), 1, given_up)
         late = [tab for tab, mine in calls.items() if not mine <= replies.keys()]
         if any(not self.has_crashed(tab) for tab in late):
             self._interrupt(late)
@@ -282,24 +273,3 @@ class Tabs:
             gone = params.get("sessionId", session)
             for tab in (tab for hub in self._hubs for tab in (hub.page, *hub.tabs.values())):
                 tab.crashed |= tab.session == gone
-
-
-def _answers(reply: Reply, tabs: list[int]) -> dict[int, Any | Failure]:
-    said = _evaluated(reply)
-    if isinstance(said, Failure):
-        return dict.fromkeys(tabs, said)
-    answers: dict[int, Any | Failure] = {}
-    for tab, words in json.loads(said):
-        wrong = words.get("error") if isinstance(words, dict) else None
-        answers[tab] = words if wrong is None else Failure(cause="page_error", words=str(wrong))
-    return answers
-
-
-def _evaluated(reply: Reply) -> str | Failure:
-    if reply.error:  # the document went away while it was asked
-        return Failure(cause="navigated", words=reply.error)
-    details = reply.result.get("exceptionDetails")
-    if details is not None:
-        words = details.get("exception", {}).get("description", details.get("text", ""))
-        return Failure(cause="page_error", words=str(words).splitlines()[0] if words else "")
-    return str(reply.result["result"].get("value", ""))
