@@ -22,6 +22,7 @@ from giirl.cli_reward import reward
 from giirl.config import Config
 from giirl.config_file import changed, dump_config, load_config
 from giirl.doctor import checks
+from giirl.files import held
 from giirl.progress import Display
 from giirl.run_folder import RunFolder
 
@@ -59,8 +60,14 @@ def doctor(demos: Path | None) -> None:
 @click.option("--runtime", type=click.Choice(["serial", "local", "ray"]), help="Where actors run; local by default.")
 @click.option("--resume", type=click.Path(path_type=Path), help="Go on with this run from its last checkpoint.")
 @JSON
+@click.pass_context
 def train(
-    config: str | None, overrides: tuple[str, ...], runtime: str | None, resume: Path | None, json_file: Path | None
+    context: click.Context,
+    config: str | None,
+    overrides: tuple[str, ...],
+    runtime: str | None,
+    resume: Path | None,
+    json_file: Path | None,
 ) -> None:
     """Train, then evaluate: giirl train [CONFIG] [key=value ...].
 
@@ -79,6 +86,7 @@ def train(
     path, changes = _split(config, overrides, runtime)
     if resume is not None:
         folder, settings = RunFolder.open(resume)
+        context.with_resource(held(folder.path))
         settings = _prolonged(folder, settings, path, changes)
         checkpoint = latest_checkpoint(folder.checkpoints)
         display.say(f"resuming {folder.path} from {checkpoint.name}")
@@ -87,6 +95,7 @@ def train(
         if settings.world == "miniwob":
             check_tasks(settings)
         folder = RunFolder.create(settings, path.stem if path else "giirl")
+        context.with_resource(held(folder.path))
         display.say(f"run folder {folder.path}, every setting in its {folder.config_file.name}")
         display.say(f"not the defaults: {' '.join(changed(settings)) or 'none'}")
     grid = settings.world == "gridcraft"

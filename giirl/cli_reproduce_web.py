@@ -12,7 +12,7 @@ import click
 from rich.table import Column, Table
 
 from giirl.cli_demos import writable
-from giirl.files import whole_file
+from giirl.files import held, whole_file
 from giirl.progress import Display
 from giirl.run_web import STUDIES, Study, base_settings
 
@@ -77,9 +77,11 @@ def _reproduce(
     alone = len(seeds) * len(study.variants) == 1
     base = (*base_settings(study, demos), f"runtime={'local' if alone else 'serial'}", *changes)
     runs = plan(base, study.variants, seeds, ROOT)
-    run_all(runs, at_once=at_once, display=display)
-    if study.toggles:
-        toggle_all(runs, display)
+    ROOT.mkdir(parents=True, exist_ok=True)
+    with held(ROOT):
+        run_all(runs, at_once=at_once, display=display)
+        if study.toggles:
+            toggle_all(runs, display)
     result = summary(name, [record(run) for run in runs])
     if alone:
         result["wall_seconds"] = round(time.monotonic() - since_s, 1)

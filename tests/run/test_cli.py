@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from giirl.cli import main
+from giirl.files import held
 from giirl.wire import read_episodes
 from tests.run.small import SETTINGS, run
 
@@ -118,6 +119,13 @@ def test_a_mended_command_works_in_the_same_folder(giirl: Command) -> None:
     words = ("train", *SETTINGS, "iterations=1", "run=out")
     assert giirl(*words, "step_limit=1").status == 1
     assert giirl(*words).status == 0
+
+
+def test_a_run_that_another_process_works_on_is_not_gone_on_with(giirl: Command, tmp_path: Path) -> None:
+    assert giirl("train", *SETTINGS, "iterations=1", "run=out").status == 0
+    with held(tmp_path / "out"):
+        assert "another process works in out" in giirl("train", "--resume", "out", "iterations=2").complaint
+    assert giirl("train", "--resume", "out", "iterations=2").status == 0
 
 
 def test_a_run_folder_in_use_is_left_alone(giirl: Command, tmp_path: Path) -> None:
