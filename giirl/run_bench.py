@@ -130,10 +130,10 @@ def bench_scoring() -> Result:
             "ray_bytes": lambda: peer.call("echo", message).result(WAIT_S),
         }
         taken: dict[str, list[float]] = {name: [] for name in ways}
-        for number in range(50 * ROUNDS + 10):
+        for number in range(10 * ROUNDS + 2):
             for name, work in ways.items():
-                seconds = [_timed(work) for _ in range(4)]
-                if number >= 10:
+                seconds = [_timed(work) for _ in range(20)]
+                if number >= 2:
                     taken[name] += seconds
     p50 = {name: 1e3 * statistics.median(some) for name, some in taken.items()}
     p99 = {name: 1e3 * float(np.quantile(some, 0.99)) for name, some in taken.items()}
