@@ -113,6 +113,7 @@ class PolicyConfig:
     updates: Positive = 1  # per iteration
     gamma: Share = 0.9
     entropy: Annotated[float, Field(gt=0)] = 0.15  # alpha of eq. 3.1, nats of reward per nat of entropy
+    final_entropy: Annotated[float, Field(gt=0, le=1)] = 0.3  # of it in the last iteration; the grid's stays as it is
     taken: Weight = 1.0  # weight of the V-trace gradient on the actions taken
     asked: Annotated[int, Field(ge=0, multiple_of=2)] = 32  # actions on each page that the reward is asked about
     value: Weight = 0.5

@@ -31,6 +31,7 @@ class ActorCritic:
     def __init__(self, config: PolicyConfig, net: Policy, noise: torch.Generator, *, metrics: Metrics) -> None:
         self.config, self.net, self._noise, self._metrics = config, net, noise, metrics
         self.optimiser = torch.optim.Adam(net.parameters(), lr=config.learning_rate)
+        self.entropy = config.entropy  # alpha as it is now
 
     def update(self, rollouts: Sequence[Example], rewards: Sequence[Tensor], ask: Ask | None) -> dict[str, float]:
         """Policy-optimisation steps on the `rewards` [T] of the rollouts; `ask` is None where the reward of what
@@ -54,13 +55,13 @@ class ActorCritic:
         logp, entropy, value = self.net.evaluate(batch, actions)
         now, values = _by_episode(logp[:, 0].detach(), mask), _by_episode(value.detach(), mask)
         ahead = functional.pad(_by_episode(entropy.detach(), mask)[:, 1:], (0, 1))
-        soft = paid + self.config.gamma * self.config.entropy * ahead
+        soft = paid + self.config.gamma * self.entropy * ahead
         targets, advantages = vtrace(now, behaviour, soft, values, mask, self.config.gamma, self.config.rho_clip)
         gain = (advantages[mask] * logp[:, 0]).mean()
         distance = -(target * logp[:, 1:]).sum(1).mean()
         error = (targets[mask] - value).pow(2).mean()
         loss = -self.config.taken * gain + distance
-        loss = loss - self.config.entropy * entropy.mean() + self.config.value * error
+        loss = loss - self.entropy * entropy.mean() + self.config.value * error
         descend(self.optimiser, self.net, loss, self.config.max_norm)
         return {
             "p_entropy": entropy.mean().item(),
@@ -84,7 +85,7 @@ class ActorCritic:
         drawn, _ = self.net.sample(batch, uniform, flat)
         logp, _, _ = self.net.evaluate(batch, drawn)
         q = torch.logaddexp(logp, chance_logp(batch, drawn))
-        target = (ask(batch, drawn) / self.config.entropy - q).softmax(1)
+        target = (ask(batch, drawn) / self.entropy - q).softmax(1)
         return join(taken, drawn), target
 
 

@@ -1,4 +1,4 @@
-"""Learning rates that fall: with time, or as the policy comes to do what the expert does."""
+"""What falls while a run goes on: with time, or as the policy comes to do what the expert does."""
 
 from __future__ import annotations
 
@@ -45,7 +45,12 @@ class Judging(Protocol):
 def anneal(part: Annealed, done: float) -> None:
     """Set the rate for when `done` in [0, 1] is over: a straight line from the first rate to the final one."""
     for group in part.optimiser.param_groups:
-        group["lr"] = part.config.learning_rate * (1 - done * (1 - part.config.final_rate))
+        group["lr"] = fallen(part.config.learning_rate, part.config.final_rate, done)
+
+
+def fallen(first: float, share: float, done: float) -> float:
+    """On a straight line from `first` to that share of it, when `done` in [0, 1] is over."""
+    return first * (1 - done * (1 - share))
 
 
 def anneal_reward(discriminator: Judging, done: float) -> None:

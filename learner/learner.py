@@ -20,7 +20,7 @@ from giirl.reward import build_policy, build_reward
 from giirl.spec import Episode, Outcome, Trajectory, Weights
 from giirl.wire import read_episodes, write_episodes
 from learner.actor_critic import ActorCritic
-from learner.annealing import anneal, anneal_reward
+from learner.annealing import anneal, anneal_reward, fallen
 from learner.cloning import Cloner
 from learner.discriminator import Discriminator
 from learner.examples import Example, ExpertSampler, Replay, study
@@ -65,10 +65,11 @@ class Learner:
         return [torch.from_numpy(example.trajectory.rewards) for example in rollouts]
 
     def anneal(self, step: int) -> None:
-        """Set the learning rates of step 0 .. iterations - 1: a reward that still moves unsettles a solved policy."""
+        """Set the rates of step 0 .. iterations - 1: a reward that still moves unsettles a solved policy."""
         done = step / max(self.config.iterations - 1, 1)
         anneal_reward(self.discriminator, done)
         anneal(self.policy, done)
+        self.policy.entropy = fallen(self.config.policy.entropy, self.config.policy.final_entropy, done)
         anneal(self.soft_q, done)
 
     def cloning_start(self) -> None:
