@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import signal
 import socketserver
 
 from hypothesis import settings
@@ -19,6 +20,9 @@ os.environ.setdefault("SE_AVOID_STATS", "true")
 os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
 os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+
+# A shell starts what goes to the background deaf to Ctrl-C, and its children inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A server of metrics looks every half second whether it shall stop; tests start and stop many.
 socketserver.BaseServer.serve_forever.__defaults__ = (0.01,)
