@@ -20,6 +20,7 @@ from typing import Any
 import giirl.run as giirl_run
 from giirl.run_workers import WorkersRuntime
 from learner.checkpoint import latest_checkpoint
+from tests.chaos.storm import start
 from tests.chaos.threads import ThreadPlatform
 from tests.run.small import run
 
@@ -66,15 +67,7 @@ def main() -> None:
 
 def _fork(child: Callable[[], None]) -> int:
     """Run it in a process of its own; its exit status, or minus the signal that ended it."""
-    pid = os.fork()
-    if pid == 0:
-        try:
-            child()
-        except BaseException as error:  # noqa: BLE001 - the parent must not go on twice
-            os.write(2, f"{error!r}\n".encode())
-            os._exit(1)
-        os._exit(0)
-    _, status = os.waitpid(pid, 0)
+    _, status = os.waitpid(start("run", child), 0)
     return os.waitstatus_to_exitcode(status)
 
 
