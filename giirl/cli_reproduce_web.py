@@ -126,7 +126,7 @@ def summary(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def study_table(title: str, result: dict[str, Any]) -> Table:
-    """Success of every variant with its interval, over all seeds."""
+    """Success of every variant with its interval, over all seeds, and below that of chance."""
     tasks = list(dict.fromkeys(task for found in result["variants"].values() for task in found["tasks"]))
     table = Table("", Column("seeds", justify="right"), *(Column(task, justify="right") for task in tasks), title=title)
     for name, found in result["variants"].items():
@@ -139,6 +139,8 @@ def study_table(title: str, result: dict[str, Any]) -> Table:
             table.add_row(f"  goal's button first: {own:.3f}, after a swap {swapped:.3f}")
         if "held_out_goals" in found:
             table.add_row("  goals never seen", "", *(_cell(found["held_out_goals"][task]) for task in tasks))
+    chance = {task: row["random"] for found in result["variants"].values() for task, row in found["tasks"].items()}
+    table.add_row("any element, any word", "", *(f"{100 * chance[task]:.1f}" for task in tasks))
     return table
 
 

@@ -141,10 +141,12 @@ def _feed(address: str, actors: int, rows: int, orders: Connection) -> None:
 def _serve(answer: Callable[[bytes], bytes], orders: Connection) -> None:
     with closing(Router()) as router:
         orders.send_bytes(router.address.encode())
-        while not orders.poll(0):
+        while True:
             if (received := router.recv(0.5)) is not None:
                 peer, message = received
                 router.send(peer, answer(message))
+            elif orders.poll(0):
+                return
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import os
-import socket
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -23,6 +23,7 @@ MAX_SOCKETS = 1 << 16  # of one process: whoever plays a thousand actors has as 
 HEARTBEAT_MS = 2_000
 SILENCE_MS = 15_000  # a peer that answers no heartbeat for so long is gone
 MORE = int(zmq.DONTWAIT | zmq.SNDMORE)
+ALARM = "inproc://alarm"
 RETRY_MS = 100
 RETRY_MAX_MS = 1_000
 
@@ -72,6 +73,10 @@ class Router:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._gate = _gate(self._context, keys) if keys else None
         self._socket = _bounded(self._context, zmq.ROUTER)
+        self._patience = _Patience(self._socket)
+        self._waking, self._woken = threading.Lock(), False
+        self._waker = _bounded(self._context, zmq.DEALER)
+        self._alarm = self._hang_up_alarm()
         self._socket.backlog = BACKLOG
         self._turned_away = _Refusals(self._socket)
         self._socket.router_mandatory = True  # sending to a peer that left is an error, not a silent loss
@@ -86,31 +91,23 @@ class Router:
             self._end()
             raise ValueError(f"cannot listen on {host}:{port}: {error}; wanted a free port, or 0") from error
         self.address = self._socket.getsockopt_string(zmq.LAST_ENDPOINT).removeprefix("tcp://")
-        self._waker, self._alarm = socket.socketpair()
-        self._waker.setblocking(False)
-        self._alarm.setblocking(False)
-        self._poller = zmq.Poller()
-        self._poller.register(self._socket, zmq.POLLIN)
-        self._poller.register(self._alarm.fileno(), zmq.POLLIN)
 
     @property
     def refusals(self) -> int:
         """How many connections were turned away: a wrong key or none, or something else than our protocol."""
         return self._turned_away.count()
 
-    def poll(self, timeout_s: float) -> bool:
-        """True when a message waits; returns early, and False, after `wake`."""
-        ready = dict(self._poller.poll(_ms(timeout_s)))
-        if self._alarm.fileno() in ready:
-            self._alarm.recv(4096)
-        return self._socket in ready
-
     def recv(self, timeout_s: float) -> tuple[bytes, bytes] | None:
-        """The next message and who sent it; None when none came in time."""
-        received = self._next()
-        if received is None and self.poll(timeout_s):
-            received = self._next()
-        return received
+        """The next message and who sent it; None when none came in time, or after `wake`."""
+        self._patience.at_most(zmq.RCVTIMEO, timeout_s)
+        try:
+            peer, *frames = self._socket.recv_multipart()
+        except zmq.Again:
+            return None
+        if peer == self._alarm:
+            self._woken = False
+            return None
+        return peer, _whole(frames)
 
     def send(self, peer: bytes, message: bytes) -> bool:
         """False when the peer is gone or takes nothing more; never waits."""
@@ -124,27 +121,26 @@ class Router:
         return True
 
     def wake(self) -> None:
-        """End a `poll` or `recv` of another thread early."""
-        try:
-            self._waker.send(b"\0")
-        except BlockingIOError:
-            return  # it has been woken many times over already
+        """End a `recv` of another thread early."""
+        with self._waking:
+            if not self._woken:  # else it has been woken, and does not know yet
+                self._woken = True
+                self._waker.send(b"")
 
     def close(self) -> None:
         """Send what can be sent at once, then let go of the port."""
         self._end()
-        self._waker.close()
-        self._alarm.close()
 
-    def _next(self) -> tuple[bytes, bytes] | None:
-        try:
-            peer, *frames = self._socket.recv_multipart(zmq.DONTWAIT)
-        except zmq.Again:
-            return None
-        return peer, _whole(frames)
+    def _hang_up_alarm(self) -> bytes:
+        """A connection within this process, before any other: the name that no peer from elsewhere can take."""
+        self._socket.bind(ALARM)
+        self._waker.connect(ALARM)
+        self._waker.send(b"")
+        return self._socket.recv_multipart()[0]
 
     def _end(self) -> None:
         self._turned_away.close()
+        self._waker.close()
         self._socket.close()
         if self._gate:
             self._gate.stop()
@@ -167,7 +163,7 @@ class Dealer:
             self._socket.curve_secretkey = keys.secret
             self._socket.curve_serverkey = keys.public
         self._turned_away = _Refusals(self._socket)
-        self._timeouts_ms: dict[int, int] = {}
+        self._patience = _Patience(self._socket)
         self.address = address
         try:
             self._socket.connect(f"tcp://{address}")
@@ -182,7 +178,7 @@ class Dealer:
 
     def recv(self, timeout_s: float) -> bytes | None:
         """The next message; None when none came in time."""
-        self._wait_at_most(zmq.RCVTIMEO, timeout_s)
+        self._patience.at_most(zmq.RCVTIMEO, timeout_s)
         try:
             return _whole(self._socket.recv_multipart())
         except zmq.Again:
@@ -190,7 +186,7 @@ class Dealer:
 
     def send(self, message: bytes, timeout_s: float = 0.0) -> bool:
         """False when there is no connection, or it takes nothing more, until the timeout."""
-        self._wait_at_most(zmq.SNDTIMEO, timeout_s)
+        self._patience.at_most(zmq.SNDTIMEO, timeout_s)
         try:
             self._socket.send(message)
         except zmq.Again:
@@ -202,12 +198,18 @@ class Dealer:
         self._turned_away.close()
         self._socket.close()  # its linger bounds how long the process stays for what is unsent
 
-    def _wait_at_most(self, option: int, timeout_s: float) -> None:
-        """The socket waits by itself: that is one look at it less than polling it first."""
-        timeout_ms = _ms(timeout_s)
-        if self._timeouts_ms.get(option) != timeout_ms:
-            self._socket.setsockopt(option, timeout_ms)
-            self._timeouts_ms[option] = timeout_ms
+
+class _Patience:
+    """How long a socket waits by itself: that is one look at it less than polling it first."""
+
+    def __init__(self, of: zmq.Socket[bytes]) -> None:
+        self._of, self._set_ms = of, {zmq.RCVTIMEO: -1, zmq.SNDTIMEO: -1}
+
+    def at_most(self, option: zmq.SocketOption, timeout_s: float) -> None:
+        timeout_ms = max(0, round(timeout_s * 1000))
+        if self._set_ms[option] != timeout_ms:
+            self._of.setsockopt(option, timeout_ms)
+            self._set_ms[option] = timeout_ms
 
 
 class _Refusals:
@@ -277,7 +279,3 @@ def _is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
-
-
-def _ms(timeout_s: float) -> int:
-    return max(0, round(timeout_s * 1000))

@@ -151,6 +151,8 @@ def hand_over(players: list[Player], timeout_s: float = 60.0) -> None:
             except Refused:
                 players.remove(player)
         time.sleep(0.002)
+    for player in players:  # what these have left is lost, and they say so
+        player.line.close()
 
 
 def read_version(folder: Path) -> int:

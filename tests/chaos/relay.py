@@ -15,6 +15,8 @@ from giirl.wire import PREFIX
 
 SHARE = 0.02  # of all messages that something happens to
 DELAY_S = 0.2
+BURST = 200  # messages of actors between two looks at what the learner has to say
+IDLE_S = 5.0  # an actor says something far more often: one that does not is gone
 
 
 def relay(front: int, back: int, seed: int) -> None:
@@ -26,34 +28,54 @@ def relay(front: int, back: int, seed: int) -> None:
     router = context.socket(zmq.ROUTER)
     router.router_handover, router.linger = True, 0
     router.bind(f"tcp://127.0.0.1:{front}")
-    poller = zmq.Poller()
-    poller.register(router, zmq.POLLIN)
+    lines = _Lines(context, router, back)
     vandal = Vandal(random.Random(seed))
-    lines: dict[bytes, zmq.Socket[bytes]] = {}
     while not stopped:
-        ready = dict(poller.poll(20))
-        if router in ready:
-            peer, message = router.recv_multipart()
-            if peer not in lines:
-                lines[peer] = _line(context, peer, back)
-                poller.register(lines[peer], zmq.POLLIN)
+        told = lines.poll()
+        for _ in range(BURST):
+            try:
+                peer, message = router.recv_multipart(zmq.DONTWAIT)
+            except zmq.Again:
+                break
             for passed in vandal.pass_on(peer, message):
-                lines[peer].send(passed)
-        for peer, line in lines.items():
-            if line in ready:
-                for passed in vandal.pass_on(b"", line.recv()):
-                    router.send_multipart([peer, passed])
+                lines.of(peer).send(passed)
+        for peer in told:
+            for passed in vandal.pass_on(b"", lines.of(peer).recv()):
+                router.send_multipart([peer, passed])
         for peer, message in vandal.late():
             if peer:
-                lines[peer].send(message)
+                lines.of(peer).send(message)
     context.destroy(linger=0)
 
 
-def _line(context: zmq.Context[zmq.Socket[bytes]], peer: bytes, back: int) -> zmq.Socket[bytes]:
-    line = context.socket(zmq.DEALER)
-    line.identity, line.linger = peer, 0
-    line.connect(f"tcp://127.0.0.1:{back}")
-    return line
+class _Lines:
+    """To the learner, one for each actor that says something."""
+
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], router: zmq.Socket[bytes], back: int) -> None:
+        self._context, self._back = context, back
+        self._poller = zmq.Poller()
+        self._poller.register(router, zmq.POLLIN)
+        self._lines: dict[bytes, zmq.Socket[bytes]] = {}
+        self._used_s: dict[bytes, float] = {}
+
+    def of(self, peer: bytes) -> zmq.Socket[bytes]:
+        self._used_s[peer] = time.monotonic()
+        if peer not in self._lines:
+            line = self._lines[peer] = self._context.socket(zmq.DEALER)
+            line.identity, line.linger = peer, 0
+            line.connect(f"tcp://127.0.0.1:{self._back}")
+            self._poller.register(line, zmq.POLLIN)
+        return self._lines[peer]
+
+    def poll(self) -> list[bytes]:
+        """Whom the learner tells something. Lines of those who are gone are closed."""
+        now_s = time.monotonic()
+        for peer in [peer for peer, used_s in self._used_s.items() if now_s - used_s > IDLE_S]:
+            self._poller.unregister(self._lines[peer])
+            self._lines.pop(peer).close()
+            del self._used_s[peer]
+        ready = dict(self._poller.poll(20))
+        return [peer for peer, line in self._lines.items() if line in ready]
 
 
 class Vandal:

@@ -48,15 +48,15 @@ def start(name: str, work: Callable[[], None]) -> int:
 class Storm:
     """Processes, and what happens to them."""
 
-    def __init__(self, folder: Path, *, crowds: int, players: int, seed: int) -> None:
-        self.folder, self._players, self._draw = folder, players, random.Random(seed)
+    def __init__(self, folder: Path, *, crowds: int, players: int, batch: int, seed: int) -> None:
+        self.folder, self._players, self._batch, self._draw = folder, players, batch, random.Random(seed)
         self._ports = free_ports(2)
         self._pids: dict[str, int] = {}
         self._incarnations = [0] * crowds
         self._zombies: list[int] = []
         self.faults: Counter[str] = Counter()
         self.recoveries: dict[str, list[float]] = {"learner": [], "actors": []}
-        self._pids["trainer"] = start("trainer", lambda: train(folder, self._ports[0]))
+        self._start_trainer()
         self._pids["relay"] = start("relay", lambda: relay(self._ports[1], self._ports[0], seed))
         for place in range(crowds):
             self._start_crowd(place)
@@ -66,6 +66,7 @@ class Storm:
         kinds: list[Callable[[], None]] = [
             self._kill_crowd,
             self._kill_crowd,
+            self._leave_crowd,
             self._stop_crowd,
             self._wake_zombie,
             self._kill_trainer,
@@ -126,6 +127,14 @@ class Storm:
         self._kill(f"crowd-{place}")
         self._start_crowd(place)
 
+    def _leave_crowd(self) -> None:
+        """All of them hand over and go, and others come."""
+        place = self._any_crowd()
+        leaving = self._pids.pop(f"crowd-{place}")
+        os.kill(leaving, signal.SIGTERM)
+        assert self._ended(leaving, CALM_S) == 0, f"crowd-{place}"
+        self._start_crowd(place)
+
     def _stop_crowd(self) -> None:
         self._pause(f"crowd-{self._any_crowd()}", 0.5)
 
@@ -152,7 +161,7 @@ class Storm:
 
     def _start_trainer(self) -> None:
         before, since_s = read_version(self.folder), time.monotonic()
-        self._pids["trainer"] = start("trainer", lambda: train(self.folder, self._ports[0]))
+        self._pids["trainer"] = start("trainer", lambda: train(self.folder, self._ports[0], batch=self._batch))
         changed = (self.folder / "version").stat().st_mtime_ns if before else 0
         while time.monotonic() - since_s < PROGRESS_S:
             if before and (self.folder / "version").stat().st_mtime_ns != changed:
@@ -229,7 +238,7 @@ def free_ports(count: int) -> list[int]:
 def main() -> None:
     folder, settings = Path(sys.argv[1]), json.loads(sys.argv[2])
     since_s = time.monotonic()
-    storm = Storm(folder, crowds=settings["crowds"], players=settings["players"], seed=settings["seed"])
+    storm = Storm(folder, seed=settings["seed"], **{name: settings[name] for name in ("crowds", "players", "batch")})
     try:
         storm.rage(faults=settings["faults"], episodes=settings["episodes"], deadline_s=settings["deadline_s"])
         storm.calm()

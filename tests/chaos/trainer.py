@@ -24,7 +24,7 @@ SLOW = "slow"  # holds how long each update takes, seconds
 LIMITS = IngestLimits(credits=4, max_lag=8, max_bytes=32 << 20)
 
 
-def train(folder: Path, port: int, *, host: str = "127.0.0.1", keys: Keys | None = None) -> None:
+def train(folder: Path, port: int, *, batch: int = BATCH, host: str = "127.0.0.1", keys: Keys | None = None) -> None:
     """Go on from the last checkpoint until SIGTERM; save at the end."""
     stopped: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, frame: stopped.append(number))
@@ -55,7 +55,7 @@ def train(folder: Path, port: int, *, host: str = "127.0.0.1", keys: Keys | None
             if ingest.wants_commit:
                 save()
             try:
-                episodes = ingest.take(BATCH, 0.1)
+                episodes = ingest.take(batch, 0.1)
             except TimeoutError:
                 continue
             seeds += [episode.trajectory.seed for episode in episodes]

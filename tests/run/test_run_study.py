@@ -55,7 +55,7 @@ def test_runs_are_done_once_and_one_that_fails_does_not_stop_the_others(tmp_path
     result = summary("test", records)
     json.dumps(result)
     assert set(result["variants"]) == set(done)
-    assert study_table("test", result).row_count == 6
+    assert study_table("test", result).row_count == 7  # two for each, and chance
 
 
 def made(variant: str, seed: int, successes: list[int]) -> dict[str, Any]:

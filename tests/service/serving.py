@@ -6,17 +6,22 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from actors.uplink import Uplink
+from giirl import scoring, wire
 from giirl.metrics import Metrics
 from giirl.score_client import ScoreClient
 from giirl.spec import Trajectory, Weights
+from giirl.transport import Router
 from reward_service.service import RewardService, Scorer
 from tests.wire.examples import episode
 
 WAIT_S = 20.0
+T = TypeVar("T")
 Rewards = NDArray[np.float32]
 
 
@@ -58,8 +63,18 @@ def settled(client: ScoreClient, wanted: int = 1) -> list[tuple[object, Rewards 
     return found
 
 
-def until(condition: Callable[[], bool]) -> None:
+def asked(client: ScoreClient, router: Router) -> tuple[bytes, int]:
+    """Who asked the router, which stands in for a replica, and the number of the question."""
+    peer, message = until(lambda: router.recv(0.0) if not client.poll() else None)
+    return peer, scoring.read_request(wire.decode(message)[0])
+
+
+def until(condition: Callable[[], T | None], *lines: Uplink) -> T:
+    """What it gives once it is something; meanwhile actors go on."""
     deadline_s = time.monotonic() + WAIT_S
-    while not condition():
+    while not (found := condition()):
+        for line in lines:
+            line.poll()
         assert time.monotonic() < deadline_s
         time.sleep(0.002)
+    return found

@@ -15,7 +15,7 @@ from giirl.scoring import ScoreReply
 from giirl.spec import Trajectory, Weights
 from giirl.transport import Router
 from reward_service.service import RewardService, Scorer, ServiceLimits
-from tests.service.serving import WAIT_S, Rewards, load, serving, settled, trajectory, until
+from tests.service.serving import WAIT_S, Rewards, asked, load, serving, settled, trajectory, until
 from tests.wire.examples import assert_same_trajectory
 
 
@@ -116,9 +116,7 @@ def test_a_question_whose_answer_got_lost_is_asked_again_as_the_same_question() 
 def test_a_late_or_repeated_answer_is_a_stray_and_not_another_answer() -> None:
     with closing(Router()) as router, closing(ScoreClient([router.address], identity="a")) as client:
         client.submit("k", trajectory(1))
-        until(lambda: not client.poll() and router.poll(0.0))
-        peer, asked = router.recv(0.0) or (b"", b"")
-        number = scoring.read_request(wire.decode(asked)[0])
+        peer, number = asked(client, router)
         reply = ScoreReply(request=number, rewards=(np.ones(1, np.float32),), version=2)
         for message in (scoring.encode_reply(reply), scoring.encode_reply(reply), b"junk"):
             assert router.send(peer, message)
@@ -168,7 +166,7 @@ def test_replicas_that_left_and_came_are_followed() -> None:
             client.submit("early", trajectory(1))  # nobody is there yet: it waits
             assert client.poll() == []
             client.follow([gone.address])
-            until(lambda: not client.poll() and gone.poll(0.0))
+            asked(client, gone)
             client.follow([new.address])
             ((key, _, version),) = settled(client)
     assert (key, version) == ("early", 3)
@@ -179,9 +177,7 @@ def test_a_replica_that_is_overloaded_rests_while_another_answers() -> None:
         free.set_weights(Weights.seal(3, b"4"))
         with closing(ScoreClient([busy.address], identity="a", timeout_s=WAIT_S)) as client:
             client.submit("k", trajectory(1))
-            until(lambda: not client.poll() and busy.poll(0.0))
-            peer, asked = busy.recv(0.0) or (b"", b"")
-            number = scoring.read_request(wire.decode(asked)[0])
+            peer, number = asked(client, busy)
             client.follow([busy.address, free.address])
             assert busy.send(peer, scoring.encode_reply(ScoreReply(request=number, error=scoring.OVERLOADED)))
             ((key, _, version),) = settled(client)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from itertools import pairwise
@@ -21,9 +20,9 @@ from giirl.transport import Dealer, Router
 from learner.admission import IngestLimits
 from learner.held import Held
 from learner.ingest import Ingest
+from tests.service.serving import WAIT_S, until
 from tests.wire.examples import STAMP, episode
 
-WAIT_S = 20.0
 QUICK = UplinkLimits(beat_s=0.05, hello_s=0.05)
 FOLDER: list[Path] = []
 
@@ -49,15 +48,6 @@ def uplink(
 ) -> Uplink:
     tally = Tally(FOLDER[-1] / actor, incarnation)
     return Uplink(address, run=run, actor=actor, incarnation=incarnation, tally=tally, limits=limits)
-
-
-def until(condition: Callable[[], bool], *lines: Uplink) -> None:
-    deadline_s = time.monotonic() + WAIT_S
-    while not condition():
-        for line in lines:
-            line.poll()
-        assert time.monotonic() < deadline_s
-        time.sleep(0.002)
 
 
 def dropped(metrics: Metrics, reason: str) -> float:
@@ -241,8 +231,7 @@ def test_an_actor_of_another_run_is_told() -> None:
 def test_an_actor_is_not_refused_for_what_another_said_in_its_name() -> None:
     with closing(Router()) as router, closing(uplink(router.address)) as line:
         line.offer(episode(1))
-        until(lambda: router.poll(0.005), line)
-        peer, _ = router.recv(0.0) or (b"", b"")
+        peer, _ = until(lambda: router.recv(0.0), line)
         for stamp in (replace(STAMP, actor="a", incarnation=0), replace(STAMP, run="run", actor="a", incarnation=1)):
             router.send(peer, delivery.encode_refused(delivery.FENCED, stamp))
         stamp = replace(STAMP, run="run", actor="a", incarnation=0)
