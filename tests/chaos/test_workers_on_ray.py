@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 from pathlib import Path
 
-import psutil
 import pytest
 
+from actors.tally import ENTRY
+from giirl.supervision import CRASHES
 from learner.checkpoint import latest_checkpoint
 from learner.held import Held
-from tests.end_to_end.commands import Command, alive, command_line, run_folder, step
+from tests.end_to_end.cluster import ray_cluster
+from tests.end_to_end.commands import Command, find, run_folder, step
 
 pytestmark = [pytest.mark.ray, pytest.mark.slow, pytest.mark.timeout(600)]
 
@@ -33,14 +36,32 @@ START_S = 200.0  # a busy machine needs long for Ray and torch
 AWAKE = {"RAY_worker_niceness": "0"}  # nobody else's work may starve ours
 
 
-def find(command: Command, title: str) -> list[psutil.Process]:
-    """The processes to which Ray gave this class's name, alive and not on their way out."""
-    return [p for p in command.look() if alive(p) and " ".join(command_line(p)[:1]).startswith(title)]
-
-
 def goes_on(command: Command, run: Path) -> None:
     reached = step(run)
     command.until(lambda: step(run) > reached + 2, "further iterations", timeout_s=START_S)
+
+
+def test_a_run_whose_actor_dies_whenever_it_begins_gives_up_saves_and_says_so(full: bool) -> None:
+    if not full:
+        pytest.skip("takes minutes: `pytest tests/chaos` runs it")
+    with run_folder() as run, Command(*WORDS, f"run={run}", env=AWAKE) as command:
+        command.until(lambda: step(run) > 2, "first iterations", timeout_s=START_S)
+        tally, begun = run / "actors" / "actor-0.tally", set[int]()
+
+        def given_up() -> bool:
+            *_, (incarnation, _) = ENTRY.iter_unpack(tally.read_bytes())
+            if incarnation not in begun:
+                begun.add(incarnation)
+                for actor in find(command, "ray::ActorOnRay"):
+                    actor.kill()
+            return "0 of 1 actors are left" in command.err
+
+        command.until(given_up, "end of the run", timeout_s=START_S)
+        assert command.wait() == 1
+        assert re.search(r"giirl: 0 of 1 actors are left, wanted 1 \(actors.minimum\): .+", command.err), command.err
+        assert len(begun) == CRASHES
+        assert command.remains() == []
+        assert latest_checkpoint(run / "checkpoints").is_dir()
 
 
 def test_an_actor_that_hangs_and_a_reward_service_that_dies_are_replaced_while_the_run_goes_on(full: bool) -> None:
@@ -63,4 +84,25 @@ def test_an_actor_that_hangs_and_a_reward_service_that_dies_are_replaced_while_t
         held = Held.load(latest_checkpoint(run / "checkpoints"))
         (mark,) = held.marks
         assert mark.actor == "actor-0"
+        assert held.counts["taken"] >= 8 * step(run)
+
+
+def test_a_learner_that_died_on_a_cluster_comes_back_to_actors_and_replicas_that_waited(full: bool) -> None:
+    if not full:
+        pytest.skip("takes minutes: `pytest tests/chaos` runs it")
+    with ray_cluster() as (head, _, driver), run_folder() as run:
+        words = [word.replace("runtime=local", "runtime=ray").replace("every=1000", "every=5") for word in WORDS]
+        with Command(*words, f"run={run}", env=driver) as first:
+            first.until(lambda: step(run) > 5, "first iterations", timeout_s=START_S)
+            workers = {*find(head, "ray::ActorOnRay"), *find(head, "ray::RewardOnRay")}
+            assert len(workers) == 3
+            first.process.kill()
+            first.process.wait()
+        saved = latest_checkpoint(run / "checkpoints").name
+        with Command("train", "--resume", str(run), env=driver) as second:
+            second.until(lambda: latest_checkpoint(run / "checkpoints").name > saved, "a checkpoint", timeout_s=START_S)
+            assert {*find(head, "ray::ActorOnRay"), *find(head, "ray::RewardOnRay")} == workers
+            second.stop(signal.SIGTERM)
+            assert second.wait(timeout_s=90) == 130, second.err
+        held = Held.load(latest_checkpoint(run / "checkpoints"))
         assert held.counts["taken"] >= 8 * step(run)

@@ -156,6 +156,11 @@ class Command:
         return [f"{process.pid} {' '.join(command_line(process))[:120]}" for process in left]
 
 
+def find(command: Command, title: str) -> list[psutil.Process]:
+    """The processes to which Ray gave this class's name, alive and not on their way out."""
+    return [p for p in command.look() if alive(p) and " ".join(command_line(p)[:1]).startswith(title)]
+
+
 def giirl(*words: str | Path, env: dict[str, str] | None = None, timeout_s: float = 90.0) -> tuple[int, str, list[str]]:
     """Run to the end: exit status, what it said, what still runs."""
     with Command(*words, env=env) as command:

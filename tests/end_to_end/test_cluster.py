@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import re
-import secrets
-import socket
-import sys
-import urllib.error
-import urllib.request
 from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
-from tests.end_to_end.commands import ANSWER_S, LOOPBACK, ROOT, Command, read_json, run_folder, step
+from tests.end_to_end.cluster import ray_cluster
+from tests.end_to_end.commands import ROOT, Command, read_json, run_folder, step
 
 pytestmark = [pytest.mark.ray, pytest.mark.timeout(400)]
 
-PROGRAMS = Path(sys.executable).parent
 TINY = """
 browser = "fake"
 tasks = ["click-test-2"]
@@ -39,38 +32,8 @@ def folder() -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[dict[str, str]]:
-    """A head of its own on free ports; yields the environment that reaches it."""
-    with ExitStack() as sockets:
-        free = [sockets.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(4)]
-        port, dashboard, agent, client = [server.getsockname()[1] for server in free]
-    env = {
-        "PATH": f"{PROGRAMS}:{os.environ['PATH']}",
-        "RAY_ADDRESS": f"http://127.0.0.1:{dashboard}",
-        "RAY_AUTH_MODE": "token",
-        "RAY_AUTH_TOKEN": secrets.token_hex(32),
-        "RAY": str(PROGRAMS / "ray"),
-    }
-    words = [
-        *("start", "--head", "--block", "--disable-usage-stats", "--num-cpus=2", "--node-ip-address=127.0.0.1"),
-        *(f"--port={port}", f"--dashboard-port={dashboard}", "--dashboard-host=127.0.0.1"),
-        *(f"--dashboard-agent-listen-port={agent}", f"--ray-client-server-port={client}"),
-        f"--object-store-memory={256 << 20}",
-    ]
-    own = {**env, "RAY_ADDRESS": "", "RAY_JOB_STOP_WAIT_TIME_S": "60"}
-    with Command(*words, program=[env["RAY"]], env=own) as head:
-        head.until(lambda: _answers(env), "answer of the dashboard")
-        yield env
-
-
-def _answers(env: dict[str, str]) -> bool:
-    """Whether jobs can be submitted: the dashboard itself comes up earlier."""
-    request = urllib.request.Request(f"{env['RAY_ADDRESS']}/api/jobs/")
-    request.add_header("Authorization", f"Bearer {env['RAY_AUTH_TOKEN']}")
-    try:
-        with LOOPBACK.open(request, timeout=ANSWER_S) as answer:
-            return bool(answer.status == 200)
-    except (urllib.error.URLError, OSError):
-        return False
+    with ray_cluster() as (_, jobs, _):
+        yield jobs
 
 
 def test_a_submitted_job_trains_and_leaves_its_result_where_it_was_told(cluster: dict[str, str], folder: Path) -> None:
