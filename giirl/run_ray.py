@@ -77,7 +77,9 @@ class RayProcess:
         self._handle, self.found = handle, found
 
     def call(self, method: str, *values: Any) -> RayCall:
-        return RayCall(getattr(self._handle, method).remote(*values))
+        # What is asked while Ray starts the process is answered as soon as that is up. Nothing else may run twice.
+        tries = -1 if method == "addresses" else 0
+        return RayCall(getattr(self._handle, method).options(max_task_retries=tries).remote(*values))
 
     def kill(self, *, restart: bool) -> None:
         ray.kill(self._handle, no_restart=not restart)

@@ -27,6 +27,7 @@ from learner.ingest import Ingest
 STOP_S = 10.0  # for processes to hand over and end
 LEAVE_S = 60.0  # for an actor that is removed to see a checkpoint cover all it played
 TEND_S = 0.5  # between two looks at the processes
+WATCH_S = 0.05  # the same while one of them is on its way up
 RUNTIME = "runtime.json"  # of a checkpoint
 
 
@@ -96,7 +97,8 @@ class WorkersRuntime:
             if self._ingest.wants_commit:
                 self._save_now()
             try:
-                taken = self._ingest.take(episodes, TEND_S)
+                rising = any(member.running is None and not member.given_up for member in self._members)
+                taken = self._ingest.take(episodes, WATCH_S if rising else TEND_S)
             except TimeoutError as error:
                 if time.monotonic() > deadline_s:
                     raise RuntimeError(

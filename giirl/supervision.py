@@ -88,15 +88,11 @@ class Member:
         if self.running is not None:
             if self.running.done() and not self.leaving:
                 self._note_end(why(self.running))
-        elif self.addresses is not None:
-            if time.monotonic() >= self._resume_s:
-                self.since_s = time.monotonic()
-                self.running = self._begin(self.process, self.restarts)
-        elif self._asked.done():
-            self._hear_addresses()
-        elif time.monotonic() - self.since_s > START_S:
-            self.process.kill(restart=True)
-            self._note_end(f"it did not start within {START_S:.0f} s")
+        elif self.addresses is None:
+            self._await_addresses()
+        if self.running is None and self.addresses is not None and time.monotonic() >= self._resume_s:
+            self.since_s = time.monotonic()
+            self.running = self._begin(self.process, self.restarts)
         self._deliver()
 
     def load(self, weights: Any) -> None:
@@ -123,7 +119,12 @@ class Member:
         self._resume_s = self.since_s + pause_s
         self._asked = self.process.call("addresses")
 
-    def _hear_addresses(self) -> None:
+    def _await_addresses(self) -> None:
+        if not self._asked.done():
+            if time.monotonic() - self.since_s > START_S:
+                self.process.kill(restart=True)
+                self._note_end(f"it did not start within {START_S:.0f} s")
+            return
         try:
             self.addresses = self._asked.result(START_S)
         except Gone as trouble:  # a platform may refuse calls while it starts a process
