@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import click
@@ -70,7 +71,7 @@ def _reproduce(
     json_file: Path | None,
 ) -> None:
     """Runs that share nothing but the machine play in one thread each; a single one has the machine to itself."""
-    from giirl.run_study import plan, record, run_all, toggle_all
+    from giirl.run_study import ask_all, plan, record, run_all
 
     writable(json_file)
     display, since_s = Display(), time.monotonic()
@@ -80,8 +81,8 @@ def _reproduce(
     ROOT.mkdir(parents=True, exist_ok=True)
     with held(ROOT):
         run_all(runs, at_once=at_once, display=display)
-        if study.toggles:
-            toggle_all(runs, display)
+        if study.asked:
+            ask_all(runs, display)
     result = summary(name, [record(run) for run in runs])
     if alone:
         result["wall_seconds"] = round(time.monotonic() - since_s, 1)
@@ -110,6 +111,8 @@ def summary(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
             variants[variant]["toggle"] = {
                 name: min(found[name] for found in toggles) for name in ("own_goal_top1", "swapped_goal_top1")
             }
+        if asked := [run["sensitivity"] for run in mine if "sensitivity" in run]:
+            variants[variant]["sensitivity"] = {task: _sensitivity(task, asked) for task in asked[0]}
         for group in ("trained_goals", "held_out_goals"):
             if all(group in row for run in mine for row in run["tasks"].values()):
                 variants[variant][group] = pooled(mine, group)
@@ -137,6 +140,10 @@ def study_table(title: str, result: dict[str, Any]) -> Table:
         if "toggle" in found:
             own, swapped = (found["toggle"][name] for name in ("own_goal_top1", "swapped_goal_top1"))
             table.add_row(f"  goal's button first: {own:.3f}, after a swap {swapped:.3f}")
+        if told := found.get("sensitivity"):
+            table.add_row(
+                "  AUC of own and others' goals", "", *(_auc(told[task]) if task in told else "-" for task in tasks)
+            )
         if "held_out_goals" in found:
             table.add_row("  goals never seen", "", *(_cell(found["held_out_goals"][task]) for task in tasks))
     chance = {task: row["random"] for found in result["variants"].values() for task, row in found["tasks"].items()}
@@ -147,6 +154,20 @@ def study_table(title: str, result: dict[str, Any]) -> Table:
 def _lowest(runs: Sequence[dict[str, Any]], task: str) -> float | None:
     """Of all seeds; None where no run was long enough to tell."""
     return min((low for run in runs if (low := run["lowest_last_third"][task]) is not None), default=None)
+
+
+def _sensitivity(task: str, asked: Sequence[dict[str, Any]]) -> dict[str, float]:
+    """Of all seeds: the worst AUC, and the mean of its control; where goals were held out, the worst of those apart."""
+    rows = [found[task] for found in asked]
+    told = {"auc": min(row["auc"] for row in rows), "shuffled": fmean(row["shuffled"] for row in rows)}
+    if all("held_out_goals" in row for row in rows):
+        told["held_out_auc"] = min(row["held_out_goals"]["auc"] for row in rows)
+    return {name: round(value, 4) for name, value in told.items()}
+
+
+def _auc(told: dict[str, float]) -> str:
+    held_out = f", never seen {told['held_out_auc']:.3f}" if "held_out_auc" in told else ""
+    return f"{told['auc']:.3f}{held_out} (shuffled {told['shuffled']:.2f})"
 
 
 def _cell(row: dict[str, Any]) -> str:

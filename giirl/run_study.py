@@ -23,8 +23,8 @@ from giirl.statistics import Score
 from learner.checkpoint import LATEST
 
 POLL_S = 1.0
-TOGGLES = "toggle.json"  # in a run's folder
-TOGGLED_TASK, TOGGLED_PAGES = "click-button", 500
+ASKED = "asked.json"  # in a run's folder: what its reward answered
+TOGGLED_TASK, ASKED_PAGES = "click-button", 500
 WINDOW = 50  # episodes of a task in a row
 POINTS = 60  # of a curve that is kept
 STOP_S = 60.0  # for a run that was told to stop, to save and end
@@ -145,18 +145,22 @@ def _stop(children: Sequence[_Child]) -> None:
             child.process.kill()
 
 
-def toggle_all(runs: Sequence[Planned], display: Display) -> None:
-    """Ask each learned reward for other goals than the page's own, once."""
+def ask_all(runs: Sequence[Planned], display: Display) -> None:
+    """Ask each learned reward, once, for other goals than the page's own."""
     from giirl.metrics import Metrics
     from giirl.run import reward_of_run
+    from giirl.run_sensitivity import sensitivity
     from giirl.run_toggle import toggle
 
     for run in runs:
-        folder, asked = RunFolder(run.folder), TOGGLED_TASK in run.config.tasks and run.config.algorithm == "giirl"
-        if asked and not (folder.path / TOGGLES).exists():
-            reward = reward_of_run(folder.path)
-            found = toggle(run.config, reward, TOGGLED_TASK, TOGGLED_PAGES, Metrics(), display)
-            folder.write_json(folder.path / TOGGLES, found)
+        folder = RunFolder(run.folder)
+        if run.config.algorithm != "giirl" or (folder.path / ASKED).exists():
+            continue
+        reward = reward_of_run(folder.path)
+        found: dict[str, Any] = {"sensitivity": sensitivity(run.config, reward, ASKED_PAGES, Metrics(), display)}
+        if TOGGLED_TASK in run.config.tasks:
+            found["toggle"] = toggle(run.config, reward, TOGGLED_TASK, ASKED_PAGES, Metrics(), display)
+        folder.write_json(folder.path / ASKED, found)
 
 
 def record(run: Planned) -> dict[str, Any]:
@@ -164,12 +168,12 @@ def record(run: Planned) -> dict[str, Any]:
     folder = RunFolder(run.folder)
     points = folder.points()
     result: dict[str, Any] = json.loads(folder.result.read_text())
-    toggles = folder.path / TOGGLES
+    asked = folder.path / ASKED
     return {
         "variant": run.variant.name,
         "changes": list(run.variant.changes),
         **result,
-        **({"toggle": json.loads(toggles.read_text())} if toggles.exists() else {}),
+        **(json.loads(asked.read_text()) if asked.exists() else {}),
         "episodes_to": {f"{share:g}": _reached(points, share, "episodes") for share in (0.95, 0.99)},
         "env_steps_to": {f"{share:g}": _reached(points, share, "env_steps") for share in (0.95, 0.99)},
         "curve": _shortened(points),

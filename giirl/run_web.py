@@ -80,7 +80,7 @@ class Study:
     settings: tuple[str, ...] = ()
     pages: int = 200
     curves: bool = False  # whether success against environment steps is drawn
-    toggles: bool = False  # whether each learned reward is asked for other goals than the page's own
+    asked: bool = False  # whether each learned reward is asked for other goals than the page's own
 
 
 def _budgets() -> tuple[Variant, ...]:
@@ -115,10 +115,11 @@ def _families() -> tuple[Variant, ...]:
 
 
 STUDIES = {
-    "table-4.1": Study(what="Success on the thesis's four web tasks", variants=(GIIRL,), pages=1000, toggles=True),
+    "table-4.1": Study(what="Success on the thesis's four web tasks", variants=(GIIRL,), pages=1000, asked=True),
     "figure-4.7": Study(what="True success while a reward is learned", variants=(GIIRL,), curves=True),
     "figure-4.8": Study(what="GIIRL and cloning as they train", variants=(GIIRL, CLONING), curves=True),
-    "defaults": Study(what="What the defaults are worth", variants=DEFAULTS, toggles=True),
+    "meaning": Study(what="Whether the reward reads the instruction", variants=(GIIRL,), asked=True),
+    "defaults": Study(what="What the defaults are worth", variants=DEFAULTS, asked=True),
     "baselines": Study(what="What GIIRL is compared with, on the same nets", variants=BASELINES, curves=True),
     "budgets": Study(what="Few demonstrations, and spoiled ones", variants=_budgets()),
     "frozen": Study(what="Fresh policies on the frozen reward", variants=FOLLOWERS, curves=True),
@@ -127,13 +128,14 @@ STUDIES = {
         variants=(GIIRL, CLONING, Variant(name="fresh policy, frozen reward", reward_of="giirl")),
         settings=('tasks=["click-button", "click-link", "enter-text"]', "held_out_goals=0.25"),
         pages=1000,
+        asked=True,
     ),
     "families": Study(
         what="A reward moved within a family of tasks",
         variants=_families(),
         settings=("step_limit=20",),  # twelve boxes may have to be ticked
     ),
-    "nets": Study(what="What each part of the reward's net is worth", variants=NETS),
+    "nets": Study(what="What each part of the reward's net is worth", variants=NETS, asked=True),
 }
 
 

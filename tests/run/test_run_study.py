@@ -14,7 +14,7 @@ from giirl.cli_reproduce_web import commands, study_table, summary
 from giirl.figures import draw_successes
 from giirl.progress import Display
 from giirl.run_folder import RunFolder
-from giirl.run_study import Variant, plan, pooled, record, run_all
+from giirl.run_study import Variant, ask_all, plan, pooled, record, run_all
 from giirl.run_web import STUDIES, base_settings
 from tests.run.small import SETTINGS
 
@@ -37,7 +37,10 @@ def test_the_same_settings_are_the_same_run_and_a_follower_waits_for_its_own_see
 
 
 @pytest.mark.slow
-def test_runs_are_done_once_and_one_that_fails_does_not_stop_the_others(tmp_path: Path) -> None:
+def test_runs_are_done_once_and_one_that_fails_does_not_stop_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("giirl.run_study.ASKED_PAGES", 20)
     settings = [*SETTINGS, "iterations=2"]
     broken = Variant(name="broken", changes=("demos.source=file", f"demos.path={tmp_path / 'none'}"))
     orphan = Variant(name="orphan", reward_of="broken")
@@ -49,13 +52,17 @@ def test_runs_are_done_once_and_one_that_fails_does_not_stop_the_others(tmp_path
     before = {name: RunFolder(run.folder).result.stat().st_mtime_ns for name, run in done.items()}
     run_all(list(done.values()), at_once=2, display=Display())
     assert before == {name: RunFolder(run.folder).result.stat().st_mtime_ns for name, run in done.items()}
+    ask_all(list(done.values()), Display())
     records = [record(run) for run in done.values()]
     assert [each["algorithm"] for each in records] == ["giirl", "frozen", "cloning"]
     assert records[0]["curve"][-1]["episodes"] == 2 * 8
     result = summary("test", records)
     json.dumps(result)
     assert set(result["variants"]) == set(done)
-    assert study_table("test", result).row_count == 7  # two for each, and chance
+    answers = result["variants"]["giirl"]
+    assert {"own_goal_top1", "swapped_goal_top1"} == set(answers["toggle"])
+    assert set(answers["sensitivity"]) == {"click-button", "enter-text"}  # where instructions differ
+    assert study_table("test", result).row_count == 9  # two for each, two of what the reward answered, and chance
 
 
 def made(variant: str, seed: int, successes: list[int]) -> dict[str, Any]:
