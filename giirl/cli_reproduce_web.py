@@ -71,7 +71,7 @@ def _reproduce(
     json_file: Path | None,
 ) -> None:
     """Runs that share nothing but the machine play in one thread each; a single one has the machine to itself."""
-    from giirl.run_study import ask_all, plan, record, run_all
+    from giirl.run_study import ask_all, measure_elsewhere, plan, record, run_all
 
     writable(json_file)
     display, since_s = Display(), time.monotonic()
@@ -83,6 +83,7 @@ def _reproduce(
         run_all(runs, at_once=at_once, display=display)
         if study.asked:
             ask_all(runs, display)
+        measure_elsewhere(runs, display)
     result = summary(name, [record(run) for run in runs])
     if alone:
         result["wall_seconds"] = round(time.monotonic() - since_s, 1)
@@ -153,7 +154,7 @@ def study_table(title: str, result: dict[str, Any]) -> Table:
 
 def _lowest(runs: Sequence[dict[str, Any]], task: str) -> float | None:
     """Of all seeds; None where no run was long enough to tell."""
-    return min((low for run in runs if (low := run["lowest_last_third"][task]) is not None), default=None)
+    return min((low for run in runs if (low := run["lowest_last_third"].get(task)) is not None), default=None)
 
 
 def _sensitivity(task: str, asked: Sequence[dict[str, Any]]) -> dict[str, float]:

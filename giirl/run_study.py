@@ -20,10 +20,11 @@ from giirl.config_file import dump_config, load_config
 from giirl.progress import Display
 from giirl.run_folder import RunFolder
 from giirl.statistics import Score
-from learner.checkpoint import LATEST
+from learner.checkpoint import LATEST, latest_checkpoint
 
 POLL_S = 1.0
 ASKED = "asked.json"  # in a run's folder: what its reward answered
+ELSEWHERE = "elsewhere.json"
 TOGGLED_TASK, ASKED_PAGES = "click-button", 500
 WINDOW = 50  # episodes of a task in a row
 POINTS = 60  # of a curve that is kept
@@ -32,11 +33,15 @@ STOP_S = 60.0  # for a run that was told to stop, to save and end
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variant:
-    """One way to run: settings by key=value. With `reward_of` it trains on the reward of that variant's same seed."""
+    """One way to run: settings by key=value. With `reward_of` it trains on the reward of that variant's same seed.
+
+    `elsewhere` are tasks that its policy never saw, and is measured on all the same.
+    """
 
     name: str
     changes: tuple[str, ...] = ()
     reward_of: str = ""
+    elsewhere: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,12 +168,27 @@ def ask_all(runs: Sequence[Planned], display: Display) -> None:
         folder.write_json(folder.path / ASKED, found)
 
 
+def measure_elsewhere(runs: Sequence[Planned], display: Display) -> None:
+    """How policies do on tasks that they never saw, once."""
+    from giirl.metrics import Metrics
+    from giirl.run_evaluate import evaluate
+
+    for run in runs:
+        folder = RunFolder(run.folder)
+        if run.variant.elsewhere and not (folder.path / ELSEWHERE).exists():
+            policy = folder.weights(latest_checkpoint(folder.checkpoints), "policy")
+            config = replace(run.config, tasks=run.variant.elsewhere)
+            folder.write_json(folder.path / ELSEWHERE, evaluate(config, policy, Metrics(), display))
+
+
 def record(run: Planned) -> dict[str, Any]:
     """What a run that is done has to tell: its result, and its curve, shortened."""
     folder = RunFolder(run.folder)
     points = folder.points()
     result: dict[str, Any] = json.loads(folder.result.read_text())
-    asked = folder.path / ASKED
+    asked, elsewhere = folder.path / ASKED, folder.path / ELSEWHERE
+    if elsewhere.exists():
+        result["tasks"] |= json.loads(elsewhere.read_text())
     return {
         "variant": run.variant.name,
         "changes": list(run.variant.changes),

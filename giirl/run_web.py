@@ -98,19 +98,22 @@ def _budgets() -> tuple[Variant, ...]:
 
 
 def _families() -> tuple[Variant, ...]:
-    """A reward learned on one task of a family, and what a fresh policy makes of it on another."""
+    """What is learned on one task of a family, taken to others: policies as they are, and the reward by itself."""
     moves = {
         "click-button": ("click-link",),
         "click-checkboxes": ("click-checkboxes-large", "click-checkboxes-soft", "click-checkboxes-transfer"),
     }
     variants: list[Variant] = []
     for source, targets in moves.items():
-        learned = Variant(name=source, changes=(f'tasks=["{source}"]',))
-        variants.append(learned)
+        here = (f'tasks=["{source}"]',)
+        learned = Variant(name=f"giirl on {source}", changes=here, elsewhere=targets)
+        cloned = Variant(name=f"cloning on {source}", changes=(*here, *CLONING.changes), elsewhere=targets)
+        variants += [learned, cloned]
         for target in targets:
             there = (f'tasks=["{target}"]',)
-            variants.append(Variant(name=f"{source} to {target}", changes=there, reward_of=source))
-            variants.append(Variant(name=f"{target}, true reward", changes=(*there, "algorithm=true_reward")))
+            followed = Variant(name=f"its reward, a fresh policy on {target}", changes=there, reward_of=learned.name)
+            sparse = Variant(name=f"true reward on {target}", changes=(*there, "algorithm=true_reward"))
+            variants += [followed, sparse]
     return tuple(variants)
 
 

@@ -14,14 +14,14 @@ from giirl.cli_reproduce_web import commands, study_table, summary
 from giirl.figures import draw_successes
 from giirl.progress import Display
 from giirl.run_folder import RunFolder
-from giirl.run_study import Variant, ask_all, plan, pooled, record, run_all
+from giirl.run_study import Variant, ask_all, measure_elsewhere, plan, pooled, record, run_all
 from giirl.run_web import STUDIES, base_settings
 from tests.run.small import SETTINGS
 
 VARIANTS = (
     Variant(name="giirl"),
     Variant(name="follower", reward_of="giirl"),
-    Variant(name="cloning", changes=("algorithm=cloning",)),
+    Variant(name="cloning", changes=("algorithm=cloning", 'tasks=["click-test"]'), elsewhere=("click-test-2",)),
 )
 
 
@@ -53,12 +53,14 @@ def test_runs_are_done_once_and_one_that_fails_does_not_stop_the_others(
     run_all(list(done.values()), at_once=2, display=Display())
     assert before == {name: RunFolder(run.folder).result.stat().st_mtime_ns for name, run in done.items()}
     ask_all(list(done.values()), Display())
+    measure_elsewhere(list(done.values()), Display())
     records = [record(run) for run in done.values()]
     assert [each["algorithm"] for each in records] == ["giirl", "frozen", "cloning"]
     assert records[0]["curve"][-1]["episodes"] == 2 * 8
     result = summary("test", records)
     json.dumps(result)
     assert set(result["variants"]) == set(done)
+    assert result["variants"]["cloning"]["tasks"]["click-test-2"]["episodes"] == 4
     answers = result["variants"]["giirl"]
     assert {"own_goal_top1", "swapped_goal_top1"} == set(answers["toggle"])
     assert set(answers["sensitivity"]) == {"click-button", "enter-text"}  # where instructions differ
