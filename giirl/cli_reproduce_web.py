@@ -6,7 +6,7 @@ import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from statistics import fmean
+from statistics import fmean, median
 from typing import Any
 
 import click
@@ -18,6 +18,7 @@ from giirl.progress import Display
 from giirl.run_web import STUDIES, Study, base_settings
 
 ROOT = Path("runs/studies")
+TUNING_SEEDS = 100  # from here on: choices are made on these, and reports on those below
 
 
 def commands() -> list[click.Command]:
@@ -48,8 +49,10 @@ def everything(context: click.Context, demos: Path | None, seeds: int, out: Path
 def _command(name: str, study: Study) -> click.Command:
     @click.command(name, help=f"{study.what}; real Chrome, some minutes a run.")
     @click.option("--demos", type=click.Path(path_type=Path), help="Public human recordings; scripted experts if not.")
-    @click.option("--seeds", type=click.IntRange(1), default=1, show_default=True, help="How many, from 0 on.")
-    @click.option("--first-seed", type=click.IntRange(0), default=0, help="From another on: 100 and above for tuning.")
+    @click.option("--seeds", type=click.IntRange(1), default=1, show_default=True, help="How many.")
+    @click.option(
+        "--first-seed", type=click.IntRange(0), default=0, help=f"From another on: {TUNING_SEEDS} and above for tuning."
+    )
     @click.option("--at-once", type=click.IntRange(1), default=2, show_default=True, help="Runs at the same time.")
     @click.option("--set", "changes", multiple=True, metavar="KEY=VALUE", help="For all runs; may be given again.")
     @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the numbers here.")
@@ -74,6 +77,10 @@ def _reproduce(
     from giirl.run_study import ask_all, measure_elsewhere, plan, record, run_all
 
     writable(json_file)
+    if seeds[0] < TUNING_SEEDS <= seeds[-1]:
+        raise click.UsageError(
+            f"seeds {seeds[0]} to {seeds[-1]} are for reports and for tuning: wanted all below {TUNING_SEEDS}, or none"
+        )
     display, since_s = Display(), time.monotonic()
     alone = len(seeds) * len(study.variants) == 1
     base = (*base_settings(study, demos), f"runtime={'local' if alone else 'serial'}", *changes)
@@ -100,13 +107,18 @@ def _reproduce(
 
 
 def summary(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """A study's numbers: those of its first variant at the top, every variant's below, every run's behind."""
+    """A study's numbers: those of its first variant at the top, every variant's below, every run's behind.
+
+    Intervals are over pages, given these seeds; `worst_seed` says how far those are apart.
+    """
     from giirl.run_study import pooled
 
     variants: dict[str, dict[str, Any]] = {}
     for variant in dict.fromkeys(run["variant"] for run in runs):
         mine = [run for run in runs if run["variant"] == variant]
         variants[variant] = {"tasks": pooled(mine), "seeds": [run["seed"] for run in mine]}
+        for unit in ("episodes_to", "env_steps_to"):
+            variants[variant][unit] = _reached([run[unit] for run in mine])
         variants[variant]["lowest_last_third"] = {task: _lowest(mine, task) for task in variants[variant]["tasks"]}
         if toggles := [run["toggle"] for run in mine if "toggle" in run]:
             variants[variant]["toggle"] = {
@@ -137,6 +149,8 @@ def study_table(title: str, result: dict[str, Any]) -> Table:
         cells = [_cell(found["tasks"][task]) if task in found["tasks"] else "-" for task in tasks]
         table.add_row(name, str(len(found["seeds"])), *cells)
         lowest = [found["lowest_last_third"].get(task) for task in tasks]
+        until = found["env_steps_to"]["0.95"]
+        table.add_row("  steps until 95 %, median", "", *(_when(until.get(task), found) for task in tasks))
         table.add_row("  lowest in the last third", "", *("-" if low is None else f"{low:.2f}" for low in lowest))
         if "toggle" in found:
             own, swapped = (found["toggle"][name] for name in ("own_goal_top1", "swapped_goal_top1"))
@@ -150,6 +164,23 @@ def study_table(title: str, result: dict[str, Any]) -> Table:
     chance = {task: row["random"] for found in result["variants"].values() for task, row in found["tasks"].items()}
     table.add_row("any element, any word", "", *(f"{100 * chance[task]:.1f}" for task in tasks))
     return table
+
+
+def _reached(found: Sequence[dict[str, dict[str, int | None]]]) -> dict[str, dict[str, dict[str, Any]]]:
+    """Per share of success and task, how many seeds got there, and the median of when."""
+    reached: dict[str, dict[str, dict[str, Any]]] = {}
+    for share, tasks in found[0].items():
+        for task in tasks:
+            when = [at for one in found if (at := one[share].get(task)) is not None]
+            reached.setdefault(share, {})[task] = {"seeds": len(when), "median": median(when) if when else None}
+    return reached
+
+
+def _when(reached: dict[str, Any] | None, variant: dict[str, Any]) -> str:
+    if not reached or not reached["seeds"]:
+        return "-" if reached is None else "never"
+    few = f" ({reached['seeds']} of {len(variant['seeds'])})" if reached["seeds"] < len(variant["seeds"]) else ""
+    return f"{reached['median']:,.0f}{few}"
 
 
 def _lowest(runs: Sequence[dict[str, Any]], task: str) -> float | None:
@@ -172,4 +203,5 @@ def _auc(told: dict[str, float]) -> str:
 
 
 def _cell(row: dict[str, Any]) -> str:
-    return f"{100 * row['success']:.1f} ({100 * row['low']:.1f} - {100 * row['high']:.1f})"
+    worst = f", worst {100 * row['worst_seed']:.1f}" if row["worst_seed"] < row["success"] else ""
+    return f"{100 * row['success']:.1f} ({100 * row['low']:.1f} - {100 * row['high']:.1f}{worst})"

@@ -144,6 +144,8 @@ class SoftQConfig:
     temperature: Annotated[float, Field(gt=0)] = 0.1  # alpha: Q(s, a) = V(s) + alpha log pi(a | s)
     chi: Annotated[float, Field(gt=0)] = 0.5  # IQ-Learn's: large ones allow large rewards
     max_norm: Annotated[float, Field(gt=0)] = 1.0  # gradient norm
+    rename: Share = 0.5
+    jitter: Weight = 0.1
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)

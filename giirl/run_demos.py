@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -77,13 +78,14 @@ def spoil(kept: list[Episode], config: Config, metrics: Metrics, display: Displa
         purpose=Purpose.DEMONSTRATE,
         run_seed=config.seed,
         first=config.demos.per_task,
-        quota=max(bad.values()),
+        quota=math.ceil(max(bad.values()) / (1 - config.held_out_goals) * (2 if config.held_out_goals else 1)),
     )
     browser = open_browser(config, metrics)
     try:
         with display.busy("spoiling demonstrations"):
             rounds = play(browser, RandomChooser(), schedule, step_limit=config.step_limit, metrics=metrics)
-            played = [episode for finished in rounds for episode in finished]
+            held_out = config.held_out_goals
+            played = [e for some in rounds for e in some if not is_held_out(e.trajectory.goal, held_out)]
     finally:
         browser.close()
     mixed: list[Episode] = []

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from giirl.config import Config
-from giirl.config_file import dump_config, load_config
+from giirl.config_file import changed, dump_config, load_config
 from giirl.progress import Display
 from giirl.run_folder import RunFolder
 from giirl.statistics import Score
@@ -67,7 +67,7 @@ def plan(base: Sequence[str], variants: Sequence[Variant], seeds: Sequence[int],
             if variant.reward_of:
                 changes += ["algorithm=frozen", f"reward_from={planned[variant.reward_of, seed].folder}"]
             config = load_config(None, changes)
-            key = hashlib.sha256(dump_config(config).encode()).hexdigest()[:12]
+            key = hashlib.sha256("\n".join(changed(config)).encode()).hexdigest()[:12]
             planned[variant.name, seed] = Planned(variant=variant, seed=seed, config=config, folder=root / key)
     return list(planned.values())
 
@@ -187,11 +187,12 @@ def record(run: Planned) -> dict[str, Any]:
     points = folder.points()
     result: dict[str, Any] = json.loads(folder.result.read_text())
     asked, elsewhere = folder.path / ASKED, folder.path / ELSEWHERE
-    if elsewhere.exists():
+    if run.variant.elsewhere:
         result["tasks"] |= json.loads(elsewhere.read_text())
     return {
         "variant": run.variant.name,
-        "changes": list(run.variant.changes),
+        "settings": [one for one in changed(run.config) if not one.startswith("reward_from=")],
+        **({"reward_of": run.variant.reward_of} if run.variant.reward_of else {}),
         **result,
         **(json.loads(asked.read_text()) if asked.exists() else {}),
         "episodes_to": {f"{share:g}": _reached(points, share, "episodes") for share in (0.95, 0.99)},

@@ -39,19 +39,27 @@ BASELINES = (
     Variant(name="IQ-Learn", changes=("algorithm=iq_learn",)),
     Variant(name="true reward", changes=("algorithm=true_reward",)),
 )
+TUNED = (  # what each baseline was tried with, on tuning seeds
+    ("GAIL", "policy.entropy", (0.15, 0.03)),
+    ("AGILE", "policy.entropy", (0.15, 0.03, 0.006)),
+    ("SQIL", "soft_q.temperature", (0.1, 0.03, 0.01)),
+    ("IQ-Learn", "soft_q.temperature", (0.1, 0.03)),
+    ("true reward", "policy.entropy", (0.15, 0.03, 0.006)),
+)
 NETS = (
     GIIRL,
     Variant(name="bag of words", changes=("net.order=false",)),
     Variant(name="hashed words instead of GloVe", changes=("net.vectors=hashed",)),
     Variant(name="no overlap features", changes=("net.overlap=false",)),
     Variant(name="no neighbours", changes=("net.neighbours=false",)),
-    Variant(name="AIRL's form", changes=("discriminator.form=airl",)),
+    # Its reward is made for alpha = 1, and its D asks how likely the policy was to do what was done.
+    Variant(name="AIRL's form", changes=("discriminator.form=airl", "discriminator.wrong_goal=0", "policy.entropy=1")),
     Variant(name="slower as the policy improves", changes=("discriminator.slow=accuracy",)),
     Variant(name="gradient penalty 1", changes=("discriminator.gradient_penalty=1",)),
 )
 DEFAULTS = (  # one thing changed at a time
     GIIRL,
-    Variant(name="plain Algorithm 1", changes=(*PLAIN, "discriminator.final_rate=1", "policy.final_rate=1")),
+    Variant(name="plain Algorithm 1", changes=PLAIN),
     Variant(name="without the policy's actions on experts' pages", changes=("discriminator.demo_states=0",)),
     Variant(name="without actions of chance", changes=("discriminator.chance=0",)),
     Variant(name="without wrong goals", changes=("discriminator.wrong_goal=0",)),
@@ -97,6 +105,16 @@ def _budgets() -> tuple[Variant, ...]:
     return (*few, *spoiled)
 
 
+def _tuning() -> tuple[Variant, ...]:
+    """Entropy weights of policies are in nats of reward: rewards of another size want other ones."""
+    known = {variant.name: variant for variant in BASELINES}
+    return tuple(
+        Variant(name=f"{name}, {key} {value}", changes=(*known[name].changes, f"{key}={value}"))
+        for name, key, values in TUNED
+        for value in values
+    )
+
+
 def _families() -> tuple[Variant, ...]:
     """What is learned on one task of a family, taken to others: policies as they are, and the reward by itself."""
     moves = {
@@ -124,6 +142,7 @@ STUDIES = {
     "meaning": Study(what="Whether the reward reads the instruction", variants=(GIIRL,), asked=True),
     "defaults": Study(what="What the defaults are worth", variants=DEFAULTS, asked=True),
     "baselines": Study(what="What GIIRL is compared with, on the same nets", variants=BASELINES, curves=True),
+    "tuning": Study(what="What the baselines were tried with", variants=_tuning()),
     "budgets": Study(what="Few demonstrations, and spoiled ones", variants=_budgets()),
     "frozen": Study(what="Fresh policies on the frozen reward", variants=FOLLOWERS, curves=True),
     "held-out": Study(
@@ -138,7 +157,7 @@ STUDIES = {
         variants=_families(),
         settings=("step_limit=20",),  # twelve boxes may have to be ticked
     ),
-    "nets": Study(what="What each part of the reward's net is worth", variants=NETS, asked=True),
+    "nets": Study(what="What each part of the nets is worth, in policy and reward alike", variants=NETS, asked=True),
 }
 
 

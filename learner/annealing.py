@@ -39,7 +39,7 @@ class Judging(Protocol):
     def optimiser(self) -> torch.optim.Optimizer: ...
 
     @property
-    def accuracy(self) -> float: ...  # share of the newest rollouts that it took for the policy's
+    def accuracy(self) -> float: ...  # 1/2 where it cannot tell expert and newest rollouts apart any more
 
 
 def anneal(part: Annealed, done: float) -> None:

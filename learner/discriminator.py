@@ -20,6 +20,7 @@ from learner.losses import gradient_penalty, logistic_loss, trimmed
 EXPERT = "expert"
 OWN = ("rollouts", "replay")  # steps that the policy took, at some time
 ACCURACY = "d_accuracy_"
+LATELY = 0.05  # how much the newest batch counts in the accuracy of late
 
 
 class Discriminator:
@@ -39,7 +40,7 @@ class Discriminator:
     ) -> None:
         self.config, self.model, self.demos, self.replay = config, model, demos, replay
         self._reward_lag, self._metrics = reward_lag, metrics
-        self.accuracy = 1.0  # share of the newest rollouts' steps that it took for the policy's
+        self.accuracy = 1.0  # of late: the mean share of expert steps, and of the newest rollouts', on their own side
         self.optimiser = torch.optim.AdamW(
             model.net.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
         )
@@ -57,7 +58,8 @@ class Discriminator:
         for name, value in stats.items():
             if name.startswith(ACCURACY):
                 self._metrics.discriminator_accuracy.labels(name.removeprefix(ACCURACY)).set(value)
-        self.accuracy = stats.get(f"{ACCURACY}rollouts", self.accuracy)
+        if (on_rollouts := stats.get(f"{ACCURACY}rollouts")) is not None:
+            self.accuracy += LATELY * ((stats[ACCURACY + EXPERT] + on_rollouts) / 2 - self.accuracy)
         self.replay.add(rollouts)
         return stats
 
@@ -135,6 +137,7 @@ class Discriminator:
         config, net = self.config, self.model.net
         net.train()
         batch, actions = collate_steps([step for _, steps in sources.values() for step in steps])
+        page = batch
         if config.rename:
             batch = rename(batch, actions, config.rename, config.jitter, self._noise)
         if config.dropout:  # it draws from torch's own generator, which no checkpoint holds
@@ -143,7 +146,7 @@ class Discriminator:
         logits = net.judge(read).flatten()
         if config.form == "airl":
             with torch.no_grad():
-                logp, _, _ = policy.evaluate(batch, actions)
+                logp, _, _ = policy.evaluate(page, actions)  # by the page's own words, which are all that it knows
             logits = logits - logp.flatten()
         parts = dict(zip(sources, logits.split([len(steps) for _, steps in sources.values()]), strict=True))
         counted = {name: trimmed(part, config.trim) if name in OWN else part for name, part in parts.items()}

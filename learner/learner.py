@@ -52,7 +52,7 @@ class Learner:
         net = build_policy(config)
         self.policy = ActorCritic(config.policy, net, self._noise, metrics=metrics)
         self.cloner = Cloner(config.cloning, net, self._noise, metrics=metrics)
-        self.soft_q = SoftQ(config.soft_q, config.algorithm, net, self.replay, self._draw, metrics=metrics)
+        self.soft_q = SoftQ(config.soft_q, config.algorithm, net, self.replay, self._draw, self._noise, metrics=metrics)
         self.config = config
         self.version = 0  # steps done
 

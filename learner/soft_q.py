@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from giirl.config import SoftQConfig
-from giirl.features import collate
+from giirl.features import Batch, collate, rename
 from giirl.metrics import Metrics, timed_update
 from giirl.models import Policy
 from learner.actor_critic import descend
@@ -32,11 +32,12 @@ class SoftQ:
         net: Policy,
         replay: Replay,
         draw: np.random.Generator,
+        noise: torch.Generator,
         *,
         metrics: Metrics,
     ) -> None:
-        self.config, self.form, self.net, self.replay, self._draw = config, form, net, replay, draw
-        self._metrics = metrics
+        self.config, self.form, self.net, self.replay = config, form, net, replay
+        self._draw, self._noise, self._metrics = draw, noise, metrics
         self.optimiser = torch.optim.Adam(net.parameters(), lr=config.learning_rate)
 
     def update(self, expert: Sequence[Example], rollouts: Sequence[Example]) -> dict[str, float]:
@@ -52,8 +53,16 @@ class SoftQ:
         config = self.config
         shown = [expert[i % len(expert)] for i in range(config.batch)]
         now, ahead = _transitions([*shown, *played], self._draw)
-        logp, entropy, value = self.net.evaluate(*collate_steps(now))
-        following = self._values_ahead(ahead, learned=self.form == "iq_learn")
+        batch, actions = collate_steps(now)
+        later = collate([(there or here).features for here, there in zip(now, ahead, strict=True)])
+        if config.rename:  # both pages of a transition in the same other words
+            state = self._noise.get_state()
+            batch = rename(batch, actions, config.rename, config.jitter, self._noise)
+            self._noise.set_state(state)
+            later = rename(later, actions, config.rename, config.jitter, self._noise)
+        logp, entropy, value = self.net.evaluate(batch, actions)
+        goes_on = torch.tensor([there is not None for there in ahead])
+        following = self._values_ahead(later, goes_on, learned=self.form == "iq_learn")
         q = value + config.temperature * logp.squeeze(1)
         implied, drop = q - config.gamma * following, value - config.gamma * following
         of_expert, of_policy = implied[: len(shown)], implied[len(shown) :]
@@ -68,15 +77,10 @@ class SoftQ:
             "p_implied_rollouts": of_policy.mean().item(),
         }
 
-    def _values_ahead(self, ahead: Sequence[Step | None], *, learned: bool) -> Tensor:
+    def _values_ahead(self, ahead: Batch, goes_on: Tensor, *, learned: bool) -> Tensor:
         """V(s') [B], 0 where the episode is over. SQIL's is fixed while Q moves towards it, IQ-Learn's is learned."""
-        values = torch.zeros(len(ahead))
-        going_on = [b for b, step in enumerate(ahead) if step is not None]
-        if going_on:
-            batch = collate([step.features for step in ahead if step is not None])
-            with torch.set_grad_enabled(learned):
-                values = values.index_put((torch.tensor(going_on),), self.net.worth(batch))
-        return values
+        with torch.set_grad_enabled(learned):
+            return torch.where(goes_on, self.net.worth(ahead), 0.0)
 
 
 def _transitions(examples: Sequence[Example], draw: np.random.Generator) -> tuple[list[Step], list[Step | None]]:

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from giirl.config import Config, DiscriminatorConfig, NetConfig, PolicyConfig, SoftQConfig
+from giirl.features import Batch, rename
 from giirl.goals import is_held_out
 from giirl.metrics import Metrics
 from giirl.models import Policy
@@ -89,11 +90,18 @@ def test_a_discriminator_of_ends_is_shown_last_steps_only(monkeypatch: pytest.Mo
     assert {len(step.features.element_tag) for step in sources["replay"][1]} == {len(FLAT)}
 
 
+def judging(config: DiscriminatorConfig) -> Discriminator:
+    draw, noise = np.random.default_rng(0), torch.Generator().manual_seed(0)
+    demos: Any = SimpleNamespace(wrong_goals=lambda expert: [])
+    model = RewardModel(reward_net(), vectors(), "logit", 100.0)
+    return Discriminator(config, model, demos, Replay(4, draw), draw, noise, reward_lag=1, metrics=Metrics())
+
+
 def imitator(form: str) -> SoftQ:
     draw = np.random.default_rng(0)
     torch.manual_seed(0)
     config = SoftQConfig(updates=8, batch=16, learning_rate=3e-3)
-    return SoftQ(config, form, policy(), Replay(100, draw), draw, metrics=Metrics())
+    return SoftQ(config, form, policy(), Replay(100, draw), draw, torch.Generator(), metrics=Metrics())
 
 
 @pytest.mark.parametrize("form", ["sqil", "iq_learn"])
@@ -117,12 +125,38 @@ def test_the_value_ahead_is_that_of_the_following_page_and_nothing_after_the_end
     learner = imitator("sqil")
     two = study(trajectory(GOAL, [SHORT, FLAT], [RIGHT, Action(verb=Verb.CLICK, element=0)]), vectors())
     first, second = steps_of([two])
-    ahead = learner._values_ahead([second, None], learned=False)
-    batch, _ = collate_steps([second])
-    assert first is not second
-    assert ahead.tolist() == [pytest.approx(learner.net.worth(batch).item()), 0.0]
+    batch, _ = collate_steps([second, first])
+    ahead = learner._values_ahead(batch, torch.tensor([True, False]), learned=False)
+    assert ahead.tolist() == [pytest.approx(learner.net.worth(batch)[0].item()), 0.0]
     assert not ahead.requires_grad
-    assert learner._values_ahead([second], learned=True).requires_grad
+    assert learner._values_ahead(batch, torch.tensor([True, False]), learned=True).requires_grad
+
+
+def test_both_pages_of_a_transition_are_renamed_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    renamed: list[Batch] = []
+
+    def watch(*arguments: Any) -> Batch:
+        renamed.append(rename(*arguments))
+        return renamed[-1]
+
+    monkeypatch.setattr("learner.soft_q.rename", watch)
+    learner = imitator("sqil")
+    twice = study(trajectory(GOAL, [SHORT, SHORT], [RIGHT, RIGHT]), vectors())
+    learner.update([twice], [twice])
+    now, later = renamed[:2]
+    assert torch.equal(now.token_words, later.token_words)
+    assert torch.equal(now.element_words, later.element_words)
+    assert len(now.token_words.unique(dim=0)) > 1
+
+
+def test_the_accuracy_of_late_is_of_both_sides_and_moves_slowly() -> None:
+    judge = judging(DiscriminatorConfig(rename=0.0))
+    long = study(trajectory(GOAL, [SHORT], [RIGHT]), vectors())
+    before = judge.accuracy
+    stats = judge.update([long], [long], policy())
+    both = (stats["d_accuracy_expert"] + stats["d_accuracy_rollouts"]) / 2
+    assert both == pytest.approx(0.5)  # whichever way it leans
+    assert judge.accuracy == pytest.approx(before + 0.05 * (both - before))
 
 
 class Recorder:
@@ -209,7 +243,6 @@ def test_the_airl_form_weighs_a_logit_against_how_likely_the_policy_is_to_do_it(
     form: Literal["plain", "airl"],
 ) -> None:
     """Where expert and policy act alike the optimal logit is 0: AIRL's f then is log pi, the plain form's is 0."""
-    draw, noise = np.random.default_rng(0), torch.Generator().manual_seed(0)
     none = {"rollouts": 0.0, "replay": 0.0, "chance": 0.0, "wrong_goal": 0.0, "rename": 0.0}
     config = DiscriminatorConfig(form=form, updates=1, batch=32, demo_states=1.0, **none)  # type: ignore[arg-type]
     net = policy()
@@ -217,9 +250,8 @@ def test_the_airl_form_weighs_a_logit_against_how_likely_the_policy_is_to_do_it(
     batch, every = collate_steps(steps_of([study(trajectory(GOAL, [SHORT], [a]), vectors()) for a in actions]))
     with torch.no_grad():
         logp = net.evaluate(batch, every)[0].squeeze(1)
-    demos: Any = SimpleNamespace(wrong_goals=lambda expert: [])
-    model = RewardModel(reward_net(), vectors(), "logit", 100.0)
-    judge = Discriminator(config, model, demos, Replay(4, draw), draw, noise, reward_lag=1, metrics=Metrics())
+    judge = judging(config)
+    noise = torch.Generator().manual_seed(0)
     played = torch.multinomial(logp.exp(), 400, replacement=True, generator=noise).tolist()
     expert = [study(trajectory(GOAL, [SHORT], [actions[i]]), vectors()) for i in played]
     for start in range(0, 400, 32):

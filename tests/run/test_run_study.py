@@ -64,7 +64,7 @@ def test_runs_are_done_once_and_one_that_fails_does_not_stop_the_others(
     answers = result["variants"]["giirl"]
     assert {"own_goal_top1", "swapped_goal_top1"} == set(answers["toggle"])
     assert set(answers["sensitivity"]) == {"click-button", "enter-text"}  # where instructions differ
-    assert study_table("test", result).row_count == 9  # two for each, two of what the reward answered, and chance
+    assert study_table("test", result).row_count == 12  # three for each, two of what the reward answered, and chance
 
 
 def made(variant: str, seed: int, successes: list[int]) -> dict[str, Any]:
@@ -105,6 +105,13 @@ def test_a_curve_says_when_enough_episodes_in_a_row_were_won(tmp_path: Path) -> 
 def test_curves_are_drawn(tmp_path: Path) -> None:
     draw_successes(tmp_path / "it.png", [made("a", 0, [1]), made("a", 1, [0]), made("b", 0, [1])])
     assert (tmp_path / "it.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_tuning_and_reporting_never_share_a_study() -> None:
+    (command,) = [command for command in commands() if command.name == "nets"]
+    said = CliRunner().invoke(command, ["--first-seed", "98", "--seeds", "3"])
+    assert said.exit_code == 2
+    assert "seeds 98 to 100 are for reports and for tuning: wanted all below 100, or none" in said.output
 
 
 @pytest.mark.parametrize("name", sorted(STUDIES))
