@@ -20,6 +20,15 @@ class Replaced(RuntimeError):
     """A newer incarnation of this actor has taken over."""
 
 
+def tallied(path: Path) -> Before:
+    """What the file of an actor that may be at work says: incarnations, and how much each finished."""
+    return tuple(sorted(dict(_entries(path.read_bytes())).items())) if path.exists() else ()
+
+
+def _entries(whole: bytes) -> Iterator[tuple[int, int]]:
+    return ENTRY.iter_unpack(whole[: len(whole) // ENTRY.size * ENTRY.size])
+
+
 class Tally:
     """Entries in the order of their incarnations, the last of them ours, each change under a lock on the file.
 
@@ -33,8 +42,7 @@ class Tally:
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             with self._locked():
-                whole = os.pread(self._file, os.fstat(self._file).st_size, 0)
-                entries = dict(ENTRY.iter_unpack(whole[: len(whole) // ENTRY.size * ENTRY.size]))
+                entries = dict(_entries(os.pread(self._file, os.fstat(self._file).st_size, 0)))
                 if max(entries, default=-1) >= incarnation:
                     raise Replaced(f"{path} is incarnation {max(entries)}'s, wanted one below {incarnation}")
                 self.before: Before = tuple((i, n) for i, n in sorted(entries.items()) if n)[-MAX_BEFORE:]

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from actors.choosers import NetChooser
 from actors.rollouts import Schedule, play
-from actors.uplink import Uplink
+from actors.uplink import Refused, Uplink
 from giirl.metrics import Metrics, waiting
 from giirl.score_client import ScoreClient
 from giirl.spec import UNSCORED, Browser, Episode, Weights
@@ -32,7 +32,7 @@ class WorkerLimits:
     step_limit: int
     lock_step: bool = False  # play a share of pages by each version of the weights, then wait for the next
     max_scoring: int = 64  # episodes under way to the reward service; more and the actor waits for it
-    flush_s: float = 2.0  # to deliver what is finished when told to stop
+    flush_s: float = 2.0  # when told to stop: for scores still to come, and again to deliver what is finished
     orphan_s: float = float("inf")  # without a word of the learner: then the actor gives up
 
 
@@ -83,6 +83,16 @@ class Worker:
 
     def run(self) -> None:
         """Play until stopped. Episodes under way are then given up; finished ones are delivered."""
+        try:
+            self._play_on()
+        except (Orphaned, Refused):
+            raise
+        except Exception:
+            self._hand_over()
+            raise
+        self._hand_over()
+
+    def _play_on(self) -> None:
         if self._limits.lock_step:
             while not self._stop.is_set():
                 self._played = self._chooser.version
@@ -91,14 +101,26 @@ class Worker:
                     self._wait("weights")
         else:
             self._play(self._schedule(self._chooser.version))
+
+    def _hand_over(self) -> None:
+        """What nobody has scored in time goes unscored."""
         deadline_s = time.monotonic() + self._limits.flush_s
         while self._scorer.pending and time.monotonic() < deadline_s:
             self._tend()
             time.sleep(PAUSE_S)
+        for episode in self._scorer.give_up():
+            self._offer_unscored(episode)
         if self._settle_s:
             self._uplink.settle(self._settle_s)
         else:
-            self._uplink.flush(max(0.0, deadline_s - time.monotonic()))
+            self._uplink.flush(self._limits.flush_s)
+
+    def _offer_unscored(self, episode: object) -> None:
+        """The learner scores it."""
+        assert isinstance(episode, Episode)
+        assert episode.trajectory.reward_version == UNSCORED
+        self._metrics.scoring_given_up.inc()
+        self._uplink.offer(episode)
 
     def _play(self, schedule: Schedule) -> None:
         rounds = play(
@@ -119,16 +141,14 @@ class Worker:
                 break
 
     def _tend(self) -> None:
-        """Pass on what has been scored; what could not be goes unscored, and the learner scores it."""
+        """Pass on what has been scored, or cannot be."""
         for episode, rewards, version in self._scorer.poll():
+            if rewards is None:
+                self._offer_unscored(episode)
+                continue
             assert isinstance(episode, Episode)
-            if rewards is not None:
-                scored = replace(episode.trajectory, rewards=rewards, reward_version=version)
-                episode = replace(episode, trajectory=scored)
-            else:
-                self._metrics.scoring_given_up.inc()
-                assert episode.trajectory.reward_version == UNSCORED
-            self._uplink.offer(episode)
+            scored = replace(episode.trajectory, rewards=rewards, reward_version=version)
+            self._uplink.offer(replace(episode, trajectory=scored))
         self._uplink.poll()
         if self._uplink.silent_for_s > self._limits.orphan_s:
             raise Orphaned(f"nothing was heard of the learner for {self._limits.orphan_s:.0f} s")

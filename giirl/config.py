@@ -230,6 +230,13 @@ class Config:
                 "'frozen' goes with reward_from=RUN, and nothing else does"
             )
 
+        lock_step = self.stream.policy_lag == 0 and self.runtime != "serial"
+        if lock_step and self.held_out_goals:
+            raise ValueError(
+                f"stream.policy_lag is 0 and held_out_goals is {self.held_out_goals}: in lock-step every page that is "
+                "played is trained on; wanted one of them changed, or runtime=serial"
+            )
+
     @property
     def quota(self) -> int:
         """Episodes of each task in a batch, where every task has equally many."""

@@ -24,7 +24,7 @@ from typing import Any
 
 from giirl import wire
 from giirl.columns import take
-from giirl.wire import Header, Stamp, WireError
+from giirl.wire import MAX_COUNT, Header, Stamp, WireError
 
 HELLO, BEAT, BYE, EPISODE = "hello", "beat", "bye", "episode"  # from actors, all stamped
 NOTICES = frozenset({HELLO, BEAT, BYE})
@@ -48,7 +48,9 @@ class Notice:
     def __post_init__(self) -> None:
         if min(self.number, self.finished - self.stamp.sequence) < 0:
             raise ValueError(f"notice {self.number} of {self.finished} episodes, {self.stamp.sequence} the first kept")
-        if not all(0 <= incarnation < self.stamp.incarnation and count >= 0 for incarnation, count in self.before):
+        if max(self.number, self.finished) >= MAX_COUNT:
+            raise ValueError(f"notice {self.number} of {self.finished} episodes, wanted less than {MAX_COUNT}")
+        if not all(0 <= i < self.stamp.incarnation and 0 <= count < MAX_COUNT for i, count in self.before):
             raise ValueError(f"{self.before!r:.80} finished before incarnation {self.stamp.incarnation}")
 
 

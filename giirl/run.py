@@ -16,7 +16,6 @@ import torch
 
 from giirl.config import Config
 from giirl.config_file import dump_config
-from giirl.goals import is_held_out
 from giirl.metrics import Metrics, write_targets
 from giirl.progress import Display, Job
 from giirl.run_demos import gather
@@ -146,8 +145,10 @@ class Session:
         except RuntimeError as error:
             if self._whole:
                 self._save()
-            again = f"giirl train --resume {self._folder.path}"
-            raise RuntimeError(f"{error}; step {learner.version} is saved, to go on: {again}") from error
+            saved = latest_checkpoint(self._folder.checkpoints).name
+            raise RuntimeError(
+                f"{error}; {saved} is saved, to go on: giirl train --resume {self._folder.path}"
+            ) from error
         finally:
             self._runtime.close()
             write_targets(self._folder.targets, self._folder.path.name, {})  # nobody is there to be scraped any more
@@ -155,13 +156,10 @@ class Session:
     def take(self, episodes: int) -> list[Trajectory]:
         """Rollouts for Algorithm 1. Their outcomes stay here, for the report."""
         assert self._runtime is not None
-        self._fresh = []
-        while len(self._fresh) < episodes:
-            taken = self._runtime.take(episodes - len(self._fresh))
-            if not taken:
-                raise Stopped
-            self._whole = False
-            self._fresh += [e for e in taken if not is_held_out(e.trajectory.goal, self._config.held_out_goals)]
+        self._fresh = self._runtime.take(episodes)
+        if not self._fresh:
+            raise Stopped
+        self._whole = False
         told = self._config.algorithm == "true_reward"
         return [pay_true(episode) if told else episode.trajectory for episode in self._fresh]
 
@@ -186,7 +184,6 @@ class Session:
         self._learner.version, self._whole = step + 1, True
         self._metrics.policy_version.set(step + 1)
         self._metrics.reward_version.set(step + 1)
-        self._runtime.publish(*self._learner.weights())
         self.env_steps += sum(len(episode.trajectory) for episode in self._fresh)
         self.episodes += len(self._fresh)
         outcomes: dict[str, list[int]] = {task: [] for task in self._config.tasks}
@@ -195,6 +192,7 @@ class Session:
         self._folder.append_curve(
             {**self._counts(), "outcomes": outcomes, **{k: round(v, 4) for k, v in stats.items()}}
         )
+        self._runtime.publish(*self._learner.weights())
         self._job.advance(1, self._note(outcomes))
         self._tell_targets()
         if (step + 1) % self._config.checkpoint_every == 0 or step + 1 == self._config.iterations:
@@ -270,5 +268,5 @@ def open_runtime(
         return SerialRuntime(config, metrics, resume)
     from giirl.run_ray import RayPlatform
 
-    platform = RayPlatform(config, folder.path.name)
+    platform = RayPlatform(config, folder.identity)
     return WorkersRuntime(config, folder, platform, metrics, stop, resume, save)

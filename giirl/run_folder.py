@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import secrets
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,6 +29,7 @@ class RunFolder:
         self.targets = path / "prometheus.json"
         self.keys = path / "keys"
         self.wanted = path / "wanted_actors"
+        self.identity_file = path / "identity"
 
     @classmethod
     def create(cls, config: Config, name: str) -> RunFolder:
@@ -54,10 +56,25 @@ class RunFolder:
     def discard_unless_begun(self) -> None:
         """Take back `create` where a run failed before its first checkpoint: the mended command finds no folder."""
         if not self.checkpoints.exists():
-            for path in (self.config_file, self.demonstrations, self.targets, self.curve, self.keys):
+            for path in (
+                self.config_file,
+                self.demonstrations,
+                self.targets,
+                self.curve,
+                self.keys,
+                self.identity_file,
+            ):
                 path.unlink(missing_ok=True)
             if not any(self.path.iterdir()):
                 self.path.rmdir()
+
+    @property
+    def identity(self) -> str:
+        """What tells this run from every other one, those in folders of the same name too."""
+        if not self.identity_file.exists():
+            name = "".join(c for c in self.path.name if c.isascii() and (c.isalnum() or c in "-_"))
+            self.write(self.identity_file, f"{name[:40]}-{secrets.token_hex(4)}")
+        return self.identity_file.read_text()
 
     def write(self, path: Path, text: str) -> None:
         """Replace a file whole."""

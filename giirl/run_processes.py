@@ -65,6 +65,7 @@ class ActorProcess:
         config, metrics, name = self._config, self._metrics, f"actor-{self._index}"
         chooser = NetChooser(build_policy(config), load_vectors(config.net.vectors))
         chooser.load(weights)
+        self._newest = weights
         with ExitStack() as open_things:
             tally = Tally(self._tally, incarnation)
             open_things.callback(tally.close)
@@ -93,7 +94,7 @@ class ActorProcess:
             schedule = self._share(browser.tabs) if limits.lock_step else self._pages(browser.tabs, first)
             worker = Worker(browser, chooser, schedule, client, uplink, limits=limits, metrics=metrics)
             self._worker = worker
-            if self._newest is not None:
+            if self._newest is not weights:
                 worker.load(self._newest)
             if self._stopped.is_set():
                 worker.stop(0.0)
@@ -103,11 +104,13 @@ class ActorProcess:
                 self.leave()
                 raise
             finally:
-                self._worker = None
+                if self._worker is worker:  # else another call of `run` has begun
+                    self._worker = None
 
     def rejoin(self, incarnation: int, first: int, learner: str, scorers: tuple[str, ...], weights: Weights) -> None:
         """A learner came back: go on for it. Returns when `run` does, or at once when nothing runs."""
         worker = self._worker
+        self._newest = weights
         if worker is not None:
             worker.rejoin(learner, weights)
             self.follow(scorers)
@@ -164,6 +167,7 @@ class RewardProcess:
         self._config, self._keys = settle(config), keys
         self._metrics = Metrics()
         self._service: RewardService | None = None
+        self._serves = False
         self._stopped = threading.Event()
         self._heard_s = time.monotonic()
 
@@ -185,20 +189,21 @@ class RewardProcess:
         service = self._service
         assert service is not None
         self.load(weights)
+        self._serves = True
         try:
             service.serve(lambda: self._stopped.is_set() or self._orphaned)
         finally:
-            self._service = None
+            self._service, self._serves = None, False
         if self._orphaned:
             self.leave()
 
     def rejoin(self, weights: Weights) -> None:
         """A learner came back: its weights count from anew. Returns when `run` does, or at once when nothing runs."""
         service = self._service
-        if service is not None:
+        if service is not None and self._serves:
             self._heard_s = time.monotonic()
             service.set_weights(weights, anew=True)
-        while self._service is service is not None:
+        while self._serves:
             time.sleep(TICK_S)
 
     def load(self, weights: Weights) -> None:

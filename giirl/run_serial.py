@@ -9,6 +9,7 @@ from pathlib import Path
 from actors.choosers import NetChooser
 from actors.rollouts import Schedule, play
 from giirl.config import Config
+from giirl.goals import is_held_out
 from giirl.language import load_vectors
 from giirl.metrics import Metrics
 from giirl.parameters import load_net
@@ -36,7 +37,13 @@ class SerialRuntime:
         self._reward_version = reward.version
 
     def take(self, episodes: int) -> list[Episode]:
-        """At least `episodes`, the same number of every task, all begun and ended in this call."""
+        """At least `episodes`, all begun and ended in this call; of every task equally many, but for goals held out."""
+        finished: list[Episode] = []
+        while len(finished) < episodes:
+            finished += [e for e in self._play() if not is_held_out(e.trajectory.goal, self._config.held_out_goals)]
+        return finished
+
+    def _play(self) -> list[Episode]:
         quota = self._config.quota
         schedule = Schedule(
             self._config.tasks,

@@ -13,6 +13,7 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
+from actors.tally import tallied
 from giirl.config import Config
 from giirl.config_file import dump_config
 from giirl.metrics import Metrics
@@ -52,10 +53,10 @@ class WorkersRuntime:
         self._held = Held.load(resume) if resume else Held()
         self._taken: int = json.loads((resume / RUNTIME).read_text())["taken"] if resume else 0
         known = [mark.incarnation for mark in self._held.marks]
-        self._first = max([int(time.time()), *(incarnation + 1 for incarnation in known)])  # incarnations only grow
+        self._incarnation = max([int(time.time()), *(incarnation + 1 for incarnation in known)])  # they only grow
         self._keys = None if platform.alone else Keys.keep(folder.keys)  # beyond loopback nobody talks without them
         self._ingest = Ingest(
-            folder.path.name,
+            folder.identity,
             lambda: self._version,
             reward_version=lambda: self._version,
             host=platform.host,
@@ -63,8 +64,12 @@ class WorkersRuntime:
             keys=self._keys,
             metrics=metrics,
             held=self._held,
+            held_out=config.held_out_goals,
         )
-        self._wanted = config.actors.count
+        self._wanted = folder.wanted_actors() or config.actors.count
+        for mark in self._held.marks:  # of actors that nobody wants any more
+            if mark.actor not in {f"actor-{index}" for index in range(self._wanted)}:
+                self._ingest.bury(mark.actor, tallied(self._tally(mark.actor)))
         self._services: list[Member] = []
         self._actors: list[Member] = []
         self._leavers: list[tuple[Member, float]] = []
@@ -130,6 +135,8 @@ class WorkersRuntime:
             actor.leaving = True
             actor.tell("stop", 0.0)
         self._outlast(self._actors, STOP_S)
+        for actor in self._actors:
+            self._bury(actor)
 
     def close(self) -> None:
         """Let the processes end; whoever does not in time is ended."""
@@ -159,20 +166,28 @@ class WorkersRuntime:
         return Member(name, process, begin, self._metrics)
 
     def _start_actor(self, index: int) -> Member:
-        config, run, name = self._config, self._folder.path.name, f"actor-{index}"
-        # Without a folder that all nodes share an actor leaves its count on its node, for whoever comes after it there.
-        shared = self._folder.path / "actors" if self._platform.alone else Path(tempfile.gettempdir()) / "giirl" / run
-        words = (dump_config(config), run, index, str(shared.absolute() / f"{name}.tally"), self._keys)
+        name = f"actor-{index}"
+        words = (dump_config(self._config), self._folder.identity, index, str(self._tally(name)), self._keys)
         process = self._platform.start("actor", name, 1, *words)
 
         def begin(process: Process, restarts: int) -> Call:
             method = "rejoin" if process.found and not restarts else "run"
-            incarnation = self._first + restarts
+            self._incarnation += 1
             return process.call(
-                method, incarnation, self._taken, self._ingest.address, tuple(self._scorers), self._policy
+                method, self._incarnation, self._taken, self._ingest.address, tuple(self._scorers), self._policy
             )
 
         return Member(name, process, begin, self._metrics)
+
+    def _tally(self, name: str) -> Path:
+        """Where an actor counts: where nodes share no folder, on its own, for whoever comes after it there."""
+        run = self._folder
+        shared = run.path / "actors" if self._platform.alone else Path(tempfile.gettempdir()) / "giirl" / run.identity
+        return shared.absolute() / f"{name}.tally"
+
+    def _bury(self, actor: Member) -> None:
+        """It is gone for good: what it took along is counted, by its own count where that can be read from here."""
+        self._ingest.bury(actor.name, tallied(self._tally(actor.name)))
 
     def _tend(self) -> None:
         """Start again what ended, replace what hangs, follow who comes and goes; too few actors end the run."""
@@ -188,6 +203,12 @@ class WorkersRuntime:
                 actor.tell("follow", tuple(scorers))
         for actor in self._actors:
             self._replace_if_silent(actor)
+            if actor.given_up and not actor.leaving:
+                actor.leaving = True
+                self._bury(actor)
+        for service in self._services:
+            if service.stuck_s > self._config.actors.silence_s:
+                service.replace(service.stuck_s, heard=True)
         self._resize()
         self._check_health()
 
@@ -195,14 +216,16 @@ class WorkersRuntime:
         if actor.running is None or actor.given_up:
             return
         begun_s, silent_s = time.monotonic() - actor.since_s, self._ingest.silent_for_s(actor.name)
-        patience_s = self._config.actors.silence_s + (0.0 if silent_s < begun_s else START_S)
+        actor.heard = silent_s < begun_s
+        patience_s = self._config.actors.silence_s + (0.0 if actor.heard else START_S)
         if min(begun_s, silent_s) > patience_s:
-            actor.replace(patience_s)
+            actor.replace(patience_s, heard=actor.heard)
 
     def _resize(self) -> None:
         """As many actors as are wanted: the config's number, or what was asked for since."""
         self._wanted = self._folder.wanted_actors() or self._wanted
-        while len(self._actors) < self._wanted:
+        going = {leaver.name for leaver, _ in self._leavers}
+        while len(self._actors) < self._wanted and f"actor-{len(self._actors)}" not in going:
             self._actors.append(self._start_actor(len(self._actors)))
         while len(self._actors) > self._wanted:
             leaver = self._actors.pop()
@@ -213,6 +236,7 @@ class WorkersRuntime:
             if leaver.running is None or leaver.running.done() or time.monotonic() > deadline_s:
                 leaver.process.kill(restart=False)
                 self._leavers.remove((leaver, deadline_s))
+                self._bury(leaver)
         self._metrics.workers.labels("actor").set(sum(actor.healthy for actor in self._actors))
         self._metrics.workers.labels("reward-service").set(sum(service.healthy for service in self._services))
 
@@ -229,7 +253,7 @@ class WorkersRuntime:
 
     def _troubles(self) -> str:
         """Who does not work, and why."""
-        idle = [f"{member.name}: {member.trouble}" for member in self._members if member.running is None]
+        idle = [f"{m.name}: {m.trouble}" for m in self._members if m.running is None or not m.heard]
         return f"; {'; '.join(idle[:4])}; there are {self._platform.resources()}" if idle else ""
 
     def _outlast(self, members: list[Member], timeout_s: float) -> None:

@@ -113,6 +113,12 @@ class ScoreClient:
             raise TimeoutError(f"{asked}: {settled[0].trouble}")
         return list(settled[0].rewards), settled[0].version
 
+    def give_up(self) -> list[object]:
+        """The keys of all that is pending: whoever asked goes on without."""
+        keys = [question.key for question in self._open.values()]
+        self._open.clear()
+        return keys
+
     def close(self) -> None:
         """Forget what is pending."""
         self._open.clear()

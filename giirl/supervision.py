@@ -4,7 +4,8 @@
                                                        |
                                                        +--> silent: killed, and the platform starts another
 
-Whoever ends CRASHES times in a row, each time soon after its start, is quarantined: not begun again.
+Whoever ends CRASHES times in a row, each time soon after its start or before it was heard, is quarantined: not begun
+again.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from giirl.metrics import Metrics
 LOG = logging.getLogger(__name__)
 START_S = 120.0  # to place and start a process
 CRASHES = 5
-CRASH_S = 30.0  # a process that runs for so long did not crash at its start
+CRASH_S = 30.0  # a process that runs for so long, and was heard, did not crash at its start
 PAUSE_S = 0.2  # before a process that ended begins again; doubles with every crash
 PAUSE_MAX_S = 5.0
 
@@ -74,6 +75,7 @@ class Member:
         self.since_s = time.monotonic()  # when it was started, or begun
         self.running: Call | None = None
         self.leaving = False  # it was asked to end
+        self.heard = True  # for those of whom something should be heard while they run: whether it was
         self._unsent: Any = None  # weights that wait for the last ones to be taken
         self._await_start(0.0)
 
@@ -105,8 +107,14 @@ class Member:
         if self.running is not None:
             self.process.call(method, *values)
 
-    def replace(self, silence_s: float) -> None:
-        """End a process that hangs; the platform starts another in its place."""
+    @property
+    def stuck_s(self) -> float:
+        """For how long it has not taken the weights that it was sent."""
+        return time.monotonic() - self._loading_s if self._loading and not self._loading.done() else 0.0
+
+    def replace(self, silence_s: float, *, heard: bool) -> None:
+        """End a process that hangs, one of which something was `heard` before or not; the platform starts another."""
+        self.heard = heard
         self.process.kill(restart=True)
         self._note_end(f"nothing was heard of it for {silence_s:.0f} s")
 
@@ -115,30 +123,33 @@ class Member:
         self.running = None
         self.since_s = time.monotonic()
         self._loading: Call | None = None
+        self._loading_s = 0.0
         self._unsent = None
         self._resume_s = self.since_s + pause_s
         self._asked = self.process.call("addresses")
 
     def _await_addresses(self) -> None:
-        if not self._asked.done():
-            if time.monotonic() - self.since_s > START_S:
-                self.process.kill(restart=True)
-                self._note_end(f"it did not start within {START_S:.0f} s")
-            return
-        try:
-            self.addresses = self._asked.result(START_S)
-        except Gone as trouble:  # a platform may refuse calls while it starts a process
-            self.trouble = str(trouble)
-            self._asked = self.process.call("addresses")
+        if self._asked.done():
+            try:
+                self.addresses = self._asked.result(START_S)
+                return
+            except Gone as trouble:  # a platform may refuse calls while it starts a process
+                self.trouble = str(trouble)
+                self._asked = self.process.call("addresses")
+        if time.monotonic() - self.since_s > START_S:
+            self.process.kill(restart=True)
+            self._note_end(f"it did not start within {START_S:.0f} s: {self.trouble}")
 
     def _deliver(self) -> None:
         idle = self._loading is None or self._loading.done()
         if self._unsent is not None and self.running is not None and idle:
             self._loading, self._unsent = self.process.call("load", self._unsent), None
+            self._loading_s = time.monotonic()
 
     def _note_end(self, trouble: str) -> None:
         self.trouble = trouble
-        self._crashes = self._crashes + 1 if time.monotonic() - self.since_s < CRASH_S else 1
+        fared_well = self.running is not None and self.heard and time.monotonic() - self.since_s >= CRASH_S
+        self._crashes = 1 if fared_well else self._crashes + 1
         self._metrics.worker_restarts.labels(self.kind).inc()
         if self._crashes >= CRASHES:
             self.given_up = trouble

@@ -190,6 +190,7 @@ class Dealer:
         try:
             self._socket.send(message)
         except zmq.Again:
+            self._turned_away.count()  # what nobody reads there would stop the sockets of this process in the end
             return False
         return True
 

@@ -31,6 +31,8 @@ LENGTH = struct.Struct("<Q")
 ALIGN = 8
 GAPS = tuple(bytes(-size % ALIGN) for size in range(ALIGN))  # what to fill up with, by size modulo ALIGN
 MAX_BYTES = 64 << 20
+MAX_COUNT = 1 << 53  # of anything that is counted: sums of such still fit a message
+MAX_NAME = 255
 MAX_HEADER_BYTES = 1 << 20
 MAX_COLUMNS = 64
 MAX_DIMS = 4
@@ -62,8 +64,11 @@ class Stamp:
     sequence: int  # counts the episodes of one incarnation from 0
 
     def __post_init__(self) -> None:
-        if self.incarnation < 0 or self.sequence < 0:
-            raise ValueError(f"incarnation {self.incarnation} and sequence {self.sequence} have to be 0 or more")
+        if not (0 <= self.incarnation < MAX_COUNT and 0 <= self.sequence < MAX_COUNT):
+            raise ValueError(f"incarnation {self.incarnation}, sequence {self.sequence}: wanted 0 to {MAX_COUNT}")
+        for name in (self.run, self.actor):
+            if len(name) > MAX_NAME or not (name.isascii() and name.isprintable()):
+                raise ValueError(f"{name!r:.80} is no name: wanted up to {MAX_NAME} printable ASCII characters")
 
 
 def encode(header: Mapping[str, object], arrays: Mapping[str, Column] | None = None) -> bytes:

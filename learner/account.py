@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from giirl.delivery import Grant, Notice
+from giirl.delivery import Before, Grant, Notice
 from learner.held import Mark
 
 
@@ -76,10 +76,10 @@ class Account:
         self._rise()
         return missing
 
-    def succeeded_by(self, notice: Notice) -> int:
-        """How many episodes this incarnation took with it, by what its successor says."""
-        finished = dict(notice.before).get(self.incarnation, self.finished)
-        between = sum(count for incarnation, count in notice.before if incarnation > self.incarnation)
+    def succeeded_by(self, before: Before) -> int:
+        """How many episodes this incarnation, and later ones, took with them, by what their successor knows."""
+        finished = max(self.finished, dict(before).get(self.incarnation, 0))
+        between = sum(count for incarnation, count in before if incarnation > self.incarnation)
         return max(0, finished - self.done) + between
 
     @property

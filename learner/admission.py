@@ -14,7 +14,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from giirl import delivery, wire
-from giirl.columns import Columns, take
+from giirl.columns import Columns
+from giirl.delivery import Before
+from giirl.goals import is_held_out
 from giirl.metrics import Metrics
 from giirl.spec import DEMONSTRATION, UNSCORED, Episode
 from giirl.wire import Header, Stamp, WireError
@@ -23,7 +25,7 @@ from learner.held import Held
 
 LOG = logging.getLogger(__name__)
 TAKEN = "taken"
-DROPPED = ("stale", "stale_queued", "invalid", "repeated", "lost")
+DROPPED = ("stale", "stale_queued", "invalid", "repeated", "held_out", "lost")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,12 +41,13 @@ class IngestLimits:
             raise ValueError(f"{self} lets nothing in: wanted credits and max_bytes from 1 and max_lag from 0")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class _Queued:
-    """An episode as it came. It becomes one of ours when it is taken, by the thread that takes it."""
+    """An episode as it came. It becomes one of ours when it is taken or saved, by the thread that does so."""
 
     header: Header
     arrays: Columns
+    episode: Episode | None = None
     version: int  # of its policy
     owner: Account
     size: int
@@ -62,6 +65,7 @@ class Admission:
         limits: IngestLimits,
         metrics: Metrics,
         held: Held,
+        held_out: float = 0.0,
     ) -> None:
         self._run = run
         self._policy_version = policy_version
@@ -71,6 +75,7 @@ class Admission:
         self._queue: deque[_Queued] = deque()
         self._bytes = 0
         self._taken: list[Episode] = list(held.episodes)  # of a take that has not come to its end
+        self._held_out = held_out
         self._untold: set[str] = set()  # actors whose grant has changed
         self._actors = {mark.actor: Account.resume(mark) for mark in held.marks}
         self._counts = Counter(held.counts)
@@ -155,11 +160,15 @@ class Admission:
 
     def snapshot(self) -> Held:
         """Everything accepted and not yet pulled, what has been judged, and what became of it."""
-        version = self._policy_version()
-        built = [episode for _ in range(len(self._queue)) if (episode := self._leave_queue(version))]
-        self._taken += built
+        version, kept = self._policy_version(), deque[_Queued]()
+        for entry in self._queue:
+            if self._build(entry, version):
+                kept.append(entry)
+            else:
+                self._release(entry)
+        self._queue = kept
         return Held(
-            episodes=tuple(self._taken),
+            episodes=(*self._taken, *(entry.episode for entry in kept if entry.episode is not None)),
             marks=tuple(actor.mark() for actor in self._actors.values()),
             counts=dict(self._counts),
         )
@@ -174,6 +183,20 @@ class Admission:
                 actor.committed = max(actor.committed, mark.floor)
             actor.settled = max(actor.settled, mark.incarnation)
             self._untold.add(mark.actor)
+
+    def bury(self, name: str, finished: Before) -> None:
+        """An actor has gone for good; its incarnations finished so much, by its own count. What never came is lost."""
+        actor = self._actors.get(name) or Account(actor=name, incarnation=-1)
+        self._drop("lost", actor.succeeded_by(finished))
+        incarnation, count = max([(actor.incarnation, max(actor.finished, actor.floor)), *finished])
+        if incarnation >= 0:
+            gone = Account(actor=name, incarnation=incarnation, floor=count, finished=count, settled=actor.settled)
+            self._actors[name] = gone
+
+    def forgive(self, seconds: float) -> None:
+        """Nobody could be heard for so long."""
+        for actor in self._actors.values():
+            actor.heard_s += seconds
 
     def silent_for_s(self, name: str) -> float:
         """How long ago an actor was heard; infinite when it never was, or has said good-bye."""
@@ -194,7 +217,7 @@ class Admission:
         actor = self._actors.get(stamp.actor)
         if actor is None or actor.incarnation < stamp.incarnation:
             before = actor or Account(actor=stamp.actor, incarnation=-1)
-            self._drop("lost", before.succeeded_by(notice))
+            self._drop("lost", before.succeeded_by(notice.before))
             actor = Account(actor=stamp.actor, incarnation=stamp.incarnation, settled=before.settled)
             self._actors[stamp.actor] = actor
         self._drop("lost", actor.skip_to(stamp.sequence))
@@ -207,13 +230,8 @@ class Admission:
             return self._refused("over_credit")  # not judged: it will come again
         self._metrics.trajectories_received.inc()
         actor.judge(stamp.sequence)
-        try:
-            with wire.untrusted():
-                version = take(header, "policy_version", int)
-            if version <= DEMONSTRATION:
-                raise WireError(f"a rollout has policy version {version}")
-        except WireError as error:
-            return self._drop_invalid(stamp.actor, error)
+        if type(version := header.get("policy_version")) is not int or version <= DEMONSTRATION:
+            return self._drop_invalid(stamp.actor, WireError(f"a rollout has policy version {version!r:.80}"))
         if self._is_stale(version, self._policy_version()):
             return self._drop("stale")
         self._queue.append(_Queued(header=header, arrays=arrays, version=version, owner=actor, size=size))
@@ -223,17 +241,29 @@ class Admission:
     def _leave_queue(self, version: int) -> Episode | None:
         """The next one; None when it is not worth having."""
         entry = self._queue.popleft()
+        self._release(entry)
+        return self._build(entry, version)
+
+    def _release(self, entry: _Queued) -> None:
+        """It waits no longer: its actor may send another."""
         self._bytes -= entry.size
         entry.owner.queued -= 1
         self._untold.add(entry.owner.actor)
+
+    def _build(self, entry: _Queued, version: int) -> Episode | None:
         if self._is_stale(entry.version, version):
             self._drop("stale_queued")
             return None
-        try:
-            return wire.build_episode(entry.header, entry.arrays)
-        except WireError as error:
-            self._drop_invalid(entry.owner.actor, error)
-            return None
+        if entry.episode is None:
+            try:
+                entry.episode = wire.build_episode(entry.header, entry.arrays)
+            except WireError as error:
+                self._drop_invalid(entry.owner.actor, error)
+                return None
+            if is_held_out(entry.episode.trajectory.goal, self._held_out):
+                self._drop("held_out")
+                return None
+        return entry.episode
 
     def _drop_invalid(self, actor: str, error: WireError) -> None:
         LOG.warning("dropped an episode of %s: %s", actor, error)
@@ -246,8 +276,7 @@ class Admission:
     def _observe(self, episode: Episode, version: int) -> None:
         self._metrics.policy_lag.observe(max(0, version - episode.trajectory.policy_version))
         if self._reward_version and episode.trajectory.reward_version != UNSCORED:
-            lag = self._reward_version() - episode.trajectory.reward_version
-            self._metrics.reward_lag.observe(max(0, lag))
+            self._metrics.reward_lag.observe(max(0, self._reward_version() - episode.trajectory.reward_version))
 
     def _refuse(self, kind: str, reason: str, stamp: Stamp) -> bytes:
         if kind == delivery.EPISODE:

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from giirl.delivery import Before
 from giirl.metrics import Metrics, waiting
 from giirl.spec import Episode
 from giirl.transport import Keys, Router
@@ -13,6 +14,7 @@ from learner.admission import Admission, IngestLimits
 from learner.held import Held
 
 TICK_S = 0.1  # how soon the thread notices that it should stop
+DEAF_S = 5.0  # between two turns of a process that runs there is far less
 MAX_BURST = 256  # messages heard before grants are told
 
 
@@ -31,6 +33,7 @@ class Ingest:
         keys: Keys | None = None,
         metrics: Metrics | None = None,
         held: Held | None = None,
+        held_out: float = 0.0,
     ) -> None:
         self._metrics = metrics or Metrics()
         self._books = Admission(
@@ -40,8 +43,10 @@ class Ingest:
             limits=limits or IngestLimits(),
             metrics=self._metrics,
             held=held or Held(),
+            held_out=held_out,
         )
         self._refusals = 0
+        self._listened_s = time.monotonic()
         self._lock = threading.Condition()
         self._broken: BaseException | None = None
         self._stop = threading.Event()
@@ -86,6 +91,11 @@ class Ingest:
         with self._lock:
             return self._books.wants_commit
 
+    def bury(self, actor: str, finished: Before) -> None:
+        """An actor has gone for good. What it finished, by its own count, and did not deliver is lost."""
+        with self._lock:
+            self._books.bury(actor, finished)
+
     def silent_for_s(self, actor: str) -> float:
         """How long ago an actor was last heard; infinite when it never was."""
         with self._lock:
@@ -117,6 +127,10 @@ class Ingest:
             raise
 
     def _turn(self) -> None:
+        deaf_s, self._listened_s = time.monotonic() - self._listened_s, time.monotonic()
+        if deaf_s > DEAF_S:  # this whole process was stopped: nobody else has been silent
+            with self._lock:
+                self._books.forgive(deaf_s)
         timeout_s = TICK_S
         for _ in range(MAX_BURST):
             received = self._router.recv(timeout_s)

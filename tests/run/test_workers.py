@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import pytest
 
 import giirl.run as giirl_run
+from actors.tally import tallied
+from giirl.config_file import dump_config
+from giirl.parameters import seal_net
+from giirl.reward import build_reward
 from giirl.run_folder import RunFolder
+from giirl.run_processes import RewardProcess
 from giirl.run_workers import WorkersRuntime
 from giirl.spec import Episode
 from tests.chaos.threads import ThreadPlatform
-from tests.run.small import run
+from tests.run.small import config, run
 
 LOCK_STEP = ("runtime=local", "stream.policy_lag=0", "stream.reward_lag=0", "actors.tabs=2")
 FEW = ("iterations=3", "evaluate.episodes=1", "evaluate.floor_episodes=1")
@@ -48,7 +55,7 @@ def test_actors_are_added_and_removed_while_a_run_goes_on(
     heard: list[list[str]] = []
 
     def resizing(self: WorkersRuntime, episodes: int) -> list[Episode]:
-        wanted = {2: 3, 5: 1}.get(len(heard))
+        wanted = {2: 3, 8: 1, 14: 2}.get(len(heard))
         if wanted:
             folder = RunFolder(tmp_path / "run")
             folder.write(folder.wanted, str(wanted))
@@ -58,9 +65,30 @@ def test_actors_are_added_and_removed_while_a_run_goes_on(
 
     monkeypatch.setattr(WorkersRuntime, "take", resizing)
     monkeypatch.setattr("giirl.run_workers.TEND_S", 0.01)
-    run(tmp_path / "run", "runtime=local", "iterations=30", "evaluate.episodes=1", "evaluate.floor_episodes=1")
+    run(tmp_path / "run", "runtime=local", "iterations=40", "evaluate.episodes=1", "evaluate.floor_episodes=1")
     numbers = [len(names) for names in heard]
     assert (numbers[0], max(numbers)) == (1, 3)
-    assert [actor.name for actor in runtimes[0]._actors] == ["actor-0"]  # the others were told to leave
+    assert [actor.name for actor in runtimes[0]._actors] == ["actor-0", "actor-1"]  # the third was told to leave
+    assert [actor.restarts for actor in runtimes[0]._actors] == [0, 0]  # nor was the second refused when it came back
     held = runtimes[0]._ingest.snapshot()
     assert {mark.actor for mark in held.marks} == {"actor-0", "actor-1", "actor-2"}
+    tallies = {mark.actor: tallied(tmp_path / "run/actors" / f"{mark.actor}.tally")[-1] for mark in held.marks}
+    assert {mark.actor: (mark.incarnation, mark.floor) for mark in held.marks} == tallies  # nothing is unaccounted
+
+
+def test_a_reward_service_that_nobody_began_is_begun_and_one_that_serves_is_joined(tmp_path: Path) -> None:
+    service = RewardProcess(dump_config(config(tmp_path)), None)
+    service.addresses()
+    first, second = seal_net(build_reward(config(tmp_path)).net, 1), seal_net(build_reward(config(tmp_path)).net, 0)
+    service.rejoin(first)  # returns: whoever asked has to begin it
+    threads = [Thread(target=service.run, args=(first,)), Thread(target=service.rejoin, args=(second,))]
+    threads[0].start()
+    while not service._serves:
+        time.sleep(0.01)
+    threads[1].start()
+    threads[1].join(0.5)
+    assert threads[1].is_alive()  # for as long as it serves
+    service.stop()
+    for thread in threads:
+        thread.join(10)
+        assert not thread.is_alive()

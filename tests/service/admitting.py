@@ -16,7 +16,7 @@ from tests.wire.examples import episode
 class Learner:
     """An admission with a clock of versions, and the words to talk to it."""
 
-    def __init__(self, *, held: Held | None = None, **limits: int) -> None:
+    def __init__(self, *, held: Held | None = None, held_out: float = 0.0, **limits: int) -> None:
         self.version = 3
         self.metrics = Metrics()
         self._notices = 0
@@ -27,6 +27,7 @@ class Learner:
             limits=IngestLimits(**{"max_lag": 8, **limits}),
             metrics=self.metrics,
             held=held or Held(),
+            held_out=held_out,
         )
 
     def hello(self, base: int = 0, **stated: Any) -> str:

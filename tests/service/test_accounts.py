@@ -105,3 +105,40 @@ def test_an_actor_that_keeps_too_much_asks_for_a_checkpoint_that_frees_it() -> N
     assert learner.books.wants_commit
     learner.books.commit(learner.books.snapshot())
     assert not learner.books.wants_commit
+
+
+def test_an_actor_that_is_gone_for_good_leaves_nothing_unaccounted_and_may_be_replaced() -> None:
+    learner = Learner()
+    learner.hello(finished=4)
+    learner.episode(0)
+    learner.books.bury("a", ((0, 5),))  # by its own count; the learner knew of four
+    assert learner.dropped("lost") == 4
+    learner.books.bury("a", ((0, 5),))
+    assert learner.dropped("lost") == 4  # once
+    assert learner.seeds(1) == [0]  # what had come is used
+    learner.hello(incarnation=1, before=((0, 5),))
+    assert learner.dropped("lost") == 4
+    learner.episode(0, incarnation=1)
+    assert learner.seeds(1) == [0]
+
+
+def test_of_an_actor_that_was_never_heard_its_own_count_is_lost() -> None:
+    learner = Learner()
+    learner.books.bury("a", ())
+    assert learner.books.snapshot().marks == ()
+    learner.books.bury("a", ((3, 2), (4, 1)))
+    assert learner.dropped("lost") == 3
+    (mark,) = learner.books.snapshot().marks
+    assert (mark.incarnation, mark.floor, mark.finished) == (4, 1, 1)
+
+
+def test_one_that_comes_back_from_the_grave_has_nothing_trained_on_twice() -> None:
+    learner = Learner()
+    learner.hello(finished=2)
+    learner.books.bury("a", ((0, 2),))
+    assert learner.episode(1) == "who"
+    learner.hello(finished=2)
+    assert learner.grant().floor == 2
+    learner.episode(1)
+    assert learner.dropped("duplicate") == 1
+    assert learner.dropped("lost") == 2

@@ -146,6 +146,27 @@ def test_a_queue_that_is_full_takes_nothing_more_until_it_has_room() -> None:
     assert learner.seeds(1) == [0]
 
 
+def test_saving_what_waits_makes_no_room_for_more() -> None:
+    learner = Learner(credits=2)
+    learner.hello()
+    for sequence in (0, 1):
+        learner.episode(sequence)
+    held = learner.books.snapshot()
+    assert [e.trajectory.seed for e in held.episodes] == [0, 1]
+    assert learner.grant().limit == 2
+    learner.episode(2)
+    assert learner.dropped("over_credit") == 1
+    assert learner.seeds(2) == [0, 1]
+
+
+def test_episodes_under_goals_held_out_are_counted_and_not_taken() -> None:
+    learner = Learner(held_out=0.999)
+    learner.hello()
+    learner.episode(0)
+    assert learner.seeds(1) == []
+    assert learner.dropped("held_out") == 1
+
+
 def test_malformed_messages_are_counted_and_forgotten() -> None:
     learner = Learner()
     learner.hello()

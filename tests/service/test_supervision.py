@@ -142,7 +142,7 @@ def test_ends_that_are_far_apart_are_no_crash_loop(stage: Stage, clock: Clock) -
 
 def test_a_process_that_hangs_is_killed_and_another_begun_in_its_place(stage: Stage, clock: Clock) -> None:
     up(stage, clock)
-    stage.member.replace(60.0)
+    stage.member.replace(60.0, heard=True)
     assert stage.puppet.kills == [True]
     up(stage, clock)
     assert stage.begun == [0, 1]
@@ -158,6 +158,39 @@ def test_a_process_that_never_starts_is_killed_in_the_end(stage: Stage, clock: C
     member.tend()
     assert stage.puppet.kills == [True]
     assert "did not start" in member.trouble
+
+
+def test_one_that_never_starts_again_and_again_is_given_up(stage: Stage, clock: Clock) -> None:
+    for answer in (Answer(open_=True), Answer(trouble="no such image")):
+        stage.puppet.answers["addresses"] = lambda answer=answer: answer  # type: ignore[misc]
+        member = Member("actor-4", stage.puppet, stage._begin, stage.metrics)
+        for _ in range(CRASHES):
+            assert member.healthy
+            clock.now_s += supervision.START_S + 1
+            member.tend()
+        assert not member.healthy
+        assert "did not start" in member.given_up
+    assert "no such image" in member.given_up
+
+
+def test_one_that_runs_for_long_and_is_never_heard_is_given_up_in_the_end(stage: Stage, clock: Clock) -> None:
+    for _ in range(CRASHES):
+        assert stage.member.healthy
+        up(stage, clock)
+        clock.now_s += 180.0
+        stage.member.replace(180.0, heard=False)
+    assert not stage.member.healthy
+
+
+def test_how_long_weights_have_not_been_taken_is_known(stage: Stage, clock: Clock) -> None:
+    loading = Answer(open_=True)
+    stage.puppet.answers["load"] = lambda: loading
+    up(stage, clock)
+    stage.member.load("w1")
+    clock.now_s += 70.0
+    assert stage.member.stuck_s == 70.0
+    loading.open = False
+    assert stage.member.stuck_s == 0.0
 
 
 def test_calls_that_a_platform_refuses_while_it_starts_a_process_are_repeated(stage: Stage, clock: Clock) -> None:

@@ -62,7 +62,7 @@ def test_a_message_for_a_stranger_is_reported_as_not_sent(router: Router) -> Non
 def test_another_thread_wakes_a_router(router: Router) -> None:
     waker = threading.Timer(0.05, router.wake)
     waker.start()
-    assert router.recv(60.0) is None
+    assert router.recv(600.0) is None  # longer than any test may take
     waker.join()
     for _ in range(100_000):
         router.wake()  # never waits, however full its pipe is
@@ -101,6 +101,7 @@ def test_holders_of_the_keys_talk_and_nobody_else_does() -> None:
                 assert not dealer.send(b"x", timeout_s=0.5)
                 assert dealer.refusals
                 assert router.recv(0.0) is None
+        assert router.refusals
 
 
 @pytest.mark.parametrize("holder", [True, False])
@@ -115,6 +116,18 @@ def test_knowing_the_public_key_alone_opens_nothing(holder: bool) -> None:
         client.connect(f"tcp://{router.address}")
         client.send(b"x")
         assert (router.recv(WAIT_S if holder else 0.5) is not None) == holder
+
+
+def test_a_message_over_the_limit_is_cut_off_and_nobody_else_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("giirl.transport.MAX_BYTES", 10_000)
+    with closing(Router()) as router, closing(Dealer(router.address, identity=b"a")) as dealer:
+        with zmq.Context() as context, context.socket(zmq.DEALER) as vandal:
+            vandal.linger = 0
+            vandal.connect(f"tcp://{router.address}")
+            vandal.send(b"x" * 10_001)
+            assert router.recv(0.5) is None
+        assert dealer.send(b"x" * 10_000, timeout_s=WAIT_S)
+        assert router.recv(WAIT_S) == (b"a", b"x" * 10_000)
 
 
 def test_a_bad_key_is_refused_and_a_secret_is_not_shown() -> None:

@@ -129,3 +129,8 @@ def test_what_cannot_be_sent_is_refused_where_it_was_made() -> None:
         wire.encode({"kind": "x", "seed": 2**80})
     with pytest.raises(ValueError, match="incarnation"):
         Stamp(run="", actor="", incarnation=-1, sequence=0)
+    with pytest.raises(ValueError, match="sequence"):
+        Stamp(run="", actor="", incarnation=0, sequence=1 << 60)
+    for name in ("\ud800", "a\nb", "x" * 300):
+        with pytest.raises(ValueError, match="no name"):
+            Stamp(run="r", actor=name, incarnation=0, sequence=0)

@@ -53,7 +53,11 @@ def altered(message: bytes, **columns: np.ndarray) -> bytes:
     return wire.encode(header, {**arrays, **columns})
 
 
-@given(episodes, st.integers(0, 2**63), st.text(max_size=20))
+@given(
+    episodes,
+    st.integers(0, wire.MAX_COUNT - 1),
+    st.text(alphabet=st.characters(codec="ascii", categories=["L", "N", "P"])),
+)
 def test_an_episode_comes_back_as_it_was_sent(sent: Episode, sequence: int, actor: str) -> None:
     stamp = Stamp(run="r", actor=actor, incarnation=0, sequence=sequence)
     found, found_stamp = wire.decode_episode(wire.encode_episode(sent, stamp=stamp))
