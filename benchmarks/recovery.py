@@ -22,7 +22,7 @@ from typing import Any
 
 import psutil
 
-from actors.tally import ENTRY
+from actors.tally import tallied
 from giirl.files import whole_file
 from giirl.progress import Display, Job
 from learner.checkpoint import latest_checkpoint
@@ -60,10 +60,10 @@ def measure(times: int, display: Display) -> dict[str, Any]:
     found: dict[str, list[float]] = {name: [] for name in ("actor_back_s", "actor_plays_s", "replica_s", "learner_s")}
     with ray_cluster() as (head, _, driver), run_folder() as run, ExitStack() as inside:
         env = {**driver, "TMPDIR": str(head.temporary)}
-        tally = head.temporary / "giirl" / run.name / "actor-0.tally"
         job = inside.enter_context(display.job("kills", 3 * times))
         with Command("train", *WORDS, f"run={run}", env=env) as learner:
             learner.until(lambda: step(run) > 10, "first checkpoint", timeout_s=START_S)
+            tally = head.temporary / "giirl" / (run / "identity").read_text() / "actor-0.tally"
             for _ in range(times):
                 before, (actor,) = newest(tally)[0], find(head, "ray::ActorOnRay")
                 killed_s = kill(actor)
@@ -96,8 +96,7 @@ def settle(learner: Command, run: Path, job: Job) -> None:
 
 def newest(tally: Path) -> tuple[int, int]:
     """The last incarnation of an actor, and how much it has finished."""
-    entries = tally.read_bytes()
-    return max(ENTRY.iter_unpack(entries[: len(entries) // ENTRY.size * ENTRY.size]))
+    return tallied(tally)[-1]
 
 
 def replicas(run: Path) -> set[str]:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from actors.tally import ENTRY, Replaced, Tally
+from actors.tally import ENTRY, Replaced, Tally, tallied
 from actors.uplink import Refused, Uplink, UplinkLimits
 from giirl.spec import Action, Episode, Goal, Outcome, Page, Trajectory, Verb
 from giirl.transport import Keys
@@ -54,8 +54,7 @@ def finished(folder: Path) -> dict[tuple[int, int], int]:
     for suffix in ("settled", "tally"):
         for path in sorted(folder.glob(f"actor-*.{suffix}")):
             actor = int(path.stem.rpartition("-")[2])
-            data = path.read_bytes()
-            for incarnation, count in ENTRY.iter_unpack(data[: len(data) // ENTRY.size * ENTRY.size]):
+            for incarnation, count in tallied(path):
                 found[actor, incarnation] = max(count, found.get((actor, incarnation), 0))
     return found
 

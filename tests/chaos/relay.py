@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import random
 import signal
 import time
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 
 import zmq
 
@@ -19,8 +21,8 @@ BURST = 200  # messages of actors between two looks at what the learner has to s
 IDLE_S = 5.0  # an actor says something far more often: one that does not is gone
 
 
-def relay(front: int, back: int, seed: int) -> None:
-    """Pass on between the two ports of this machine until SIGTERM."""
+def relay(front: int, back: int, seed: int, harms: Path) -> None:
+    """Pass on between the two ports of this machine until SIGTERM; then tell what harm was done."""
     stopped: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, frame: stopped.append(number))
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
@@ -46,6 +48,7 @@ def relay(front: int, back: int, seed: int) -> None:
             if peer:
                 lines.of(peer).send(message)
     context.destroy(linger=0)
+    harms.write_text(json.dumps(vandal.done))
 
 
 class _Lines:

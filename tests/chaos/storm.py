@@ -29,6 +29,7 @@ from tests.chaos.relay import relay
 from tests.chaos.trainer import SLOW, TRAINED, WRITING, train
 
 CALM_S = 120.0  # for everybody to hand over in the end
+HARMS = "harms.json"  # what the last relay did to messages
 PROGRESS_S = 60.0  # without a step of the learner, however much it suffers: a hang
 
 
@@ -57,7 +58,7 @@ class Storm:
         self.faults: Counter[str] = Counter()
         self.recoveries: dict[str, list[float]] = {"learner": [], "actors": []}
         self._start_trainer()
-        self._pids["relay"] = start("relay", lambda: relay(self._ports[1], self._ports[0], seed))
+        self._pids["relay"] = start("relay", lambda: relay(self._ports[1], self._ports[0], seed, folder / HARMS))
         for place in range(crowds):
             self._start_crowd(place)
 
@@ -181,7 +182,7 @@ class Storm:
     def _kill_relay(self) -> None:
         self._kill("relay")
         seed = self._draw.randrange(1 << 30)
-        self._pids["relay"] = start("relay", lambda: relay(self._ports[1], self._ports[0], seed))
+        self._pids["relay"] = start("relay", lambda: relay(self._ports[1], self._ports[0], seed, self.folder / HARMS))
 
     def _cut(self) -> None:
         self._pause("relay", 1.0)
@@ -246,6 +247,7 @@ def main() -> None:
         storm.close()
     ledger = settle_accounts(folder)
     ledger |= {"faults": dict(storm.faults), "learner_back_s": storm.recoveries["learner"]}
+    ledger["harms"] = json.loads((folder / HARMS).read_text())
     ledger["seconds"] = round(time.monotonic() - since_s, 1)
     (folder / "ledger.json").write_text(json.dumps(ledger, indent=2) + "\n")
 

@@ -34,8 +34,10 @@ def test_through_every_fault_each_finished_episode_is_trained_on_once_or_in_a_co
     assert ledger["finished"] >= (100_000 if full else 2_000)
     assert sum(ledger["faults"].values()) >= (200 if full else 15)
     assert max(ledger["learner_back_s"], default=0) < 10
+    assert ledger["harms"]
     if full:
         assert len(ledger["faults"]) == 10  # of every kind
+        assert len(ledger["harms"]) == 9
 
 
 @pytest.mark.parametrize("mode", ["serial", "lock-step"])
