@@ -4,17 +4,17 @@
 
 A run with real Chrome on a Ray cluster of one node, as `ray start --head` makes it. Everything is killed with SIGKILL.
 An actor is back when its new incarnation has begun, and plays when that has finished its first episode (Chrome's start
-lies in between); a replica, when its new address answers scrapes with the version of its weights; the learner, when the
+lies in between); a replica, when the process in its place has weights; the learner, when the
 process that resumes the run, timed from its start, has made a step that was not in the checkpoint.
 """
 
 from __future__ import annotations
 
 import argparse
+import http.client
 import json
 import statistics
 import time
-import urllib.error
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -71,9 +71,11 @@ def measure(times: int, display: Display) -> dict[str, Any]:
                 found["actor_plays_s"].append(since(killed_s, lambda: newest(tally)[1]))
                 settle(learner, run, job)
             for _ in range(times):
-                known = replicas(run)
-                killed_s = kill(find(head, "ray::RewardOnRay")[0])
-                found["replica_s"].append(since(killed_s, lambda: any(map(serves, replicas(run) - known))))  # noqa: B023
+                known = set(find(head, "ray::RewardOnRay"))
+                killed_s = kill(min(known, key=lambda process: process.pid))
+                found["replica_s"].append(
+                    since(killed_s, lambda: any(map(serves, set(find(head, "ray::RewardOnRay")) - known)))  # noqa: B023
+                )
                 settle(learner, run, job)
         for _ in range(times):  # leaving the block has killed the last one
             saved, begun_s = int(latest_checkpoint(run / "checkpoints").name.split("-")[1]), time.monotonic()
@@ -99,18 +101,20 @@ def newest(tally: Path) -> tuple[int, int]:
     return tallied(tally)[-1]
 
 
-def replicas(run: Path) -> set[str]:
-    """Where the reward services are scraped, as far as the run knows."""
-    targets = json.loads((run / "prometheus.json").read_text())
-    return {group["targets"][0] for group in targets if group["labels"]["process"].startswith("reward-service")}
-
-
-def serves(address: str) -> bool:
-    """Whether a reward service has weights to score with."""
+def serves(replica: psutil.Process) -> bool:
+    """Whether a reward service has weights to score with, by what one of its ports says."""
     try:
-        return total(scrape(address), "giirl_reward_version") > 0
-    except (urllib.error.URLError, OSError):
+        ports = {c.laddr.port for c in replica.net_connections("tcp") if c.status == psutil.CONN_LISTEN}
+    except psutil.NoSuchProcess:
         return False
+    return any(_version(f"127.0.0.1:{port}") > 0 for port in ports)
+
+
+def _version(address: str) -> float:
+    try:
+        return total(scrape(address, 0.2), "giirl_reward_version")
+    except (OSError, ValueError, http.client.HTTPException):
+        return -1.0  # another port of it
 
 
 def main() -> None:

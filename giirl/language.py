@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib.util
+import threading
 import zlib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -58,9 +59,17 @@ class HashedWords:
         return FIRST_WORD + zlib.crc32(word.lower().encode()) % self._words
 
 
-@functools.cache
+_LOADING = threading.Lock()
+
+
 def load_vectors(name: str) -> Vectors:
-    """The table called `name` ("glove" or "hashed"), loaded once a process."""
+    """The table called `name` ("glove" or "hashed"), loaded once a process, whichever thread asks first."""
+    with _LOADING:
+        return _load_vectors(name)
+
+
+@functools.cache
+def _load_vectors(name: str) -> Vectors:
     if name == "glove":
         return GloVe()
     if name == "hashed":

@@ -32,9 +32,14 @@ TICK_S = 0.1
 
 
 def settle(config: str) -> Config:
-    """The config that the driver sent; and one thread for torch, since the cores are shared."""
+    """The config that the driver sent; and one thread for torch, since the cores are shared.
+
+    The words that every net needs are read while whoever wants this process hears that it is there.
+    """
     torch.set_num_threads(1)
-    return parse_config(json.loads(config), "the driver's config")
+    parsed = parse_config(json.loads(config), "the driver's config")
+    threading.Thread(target=load_vectors, args=(parsed.net.vectors,), daemon=True).start()
+    return parsed
 
 
 class ActorProcess:

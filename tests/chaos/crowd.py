@@ -22,7 +22,7 @@ from giirl.transport import Keys
 
 INCARNATIONS = 1 << 12
 SEQUENCES = 1 << 24
-LOOP_S = 0.01  # between two rounds through all actors
+LOOP_S = 0.05  # between two rounds through all actors
 LOOK_S = 0.05  # between two looks at the version of the learner
 VERSION = "version"
 LIMITS = UplinkLimits(pause_at=4, max_kept_bytes=256 << 10, beat_s=0.2, hello_s=0.1)

@@ -25,7 +25,7 @@ def test_through_every_fault_each_finished_episode_is_trained_on_once_or_in_a_co
     full: bool, tmp_path: Path
 ) -> None:
     short = {"crowds": 4, "players": 5, "batch": 32, "faults": 15, "episodes": 2_000}
-    long = {"crowds": 6, "players": 170, "batch": 512, "faults": 220, "episodes": 105_000}
+    long = {"crowds": 6, "players": 170, "batch": 512, "faults": 205, "episodes": 105_000}
     words = settings(**(long if full else short), seed=7, deadline_s=1300 if full else 150)
     ledger = play("storm", tmp_path, words, timeout_s=1450 if full else 280, result="ledger.json")
     assert ledger["unaccounted"] == 0, ledger

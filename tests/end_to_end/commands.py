@@ -45,9 +45,9 @@ def run_folder() -> Iterator[Path]:
         shutil.rmtree(folder)
 
 
-def scrape(address: str) -> Sample:
+def scrape(address: str, timeout_s: float = ANSWER_S) -> Sample:
     """Every number that a metrics endpoint shows."""
-    with LOOPBACK.open(f"http://{address}/metrics", timeout=ANSWER_S) as answer:
+    with LOOPBACK.open(f"http://{address}/metrics", timeout=timeout_s) as answer:
         families = text_string_to_metric_families(answer.read().decode())
         return {(s.name, frozenset(s.labels.items())): s.value for family in families for s in family.samples}
 
