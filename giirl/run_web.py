@@ -13,6 +13,7 @@ SPOILED = (0.1, 0.3)
 
 GIIRL = Variant(name="giirl")
 CLONING = Variant(name="cloning", changes=("algorithm=cloning",))
+TRUE_REWARD = Variant(name="true reward", changes=("algorithm=true_reward", "policy.entropy=0.006"))
 BARE_CLONING = Variant(  # to the same words and places, four times as long: where it overfits, this shows it
     name="cloning, nothing renamed, 1,200 updates",
     changes=("algorithm=cloning", "cloning.rename=0", "cloning.jitter=0", "iterations=1200"),
@@ -36,18 +37,20 @@ BASELINES = (
     GIIRL,
     CLONING,
     Variant(name="plain Algorithm 1", changes=PLAIN),
-    Variant(name="GAIL", changes=(*PLAIN, "discriminator.reward=gail")),
+    Variant(name="GAIL", changes=(*PLAIN, "discriminator.reward=gail", "policy.entropy=0.03")),
     Variant(name="giirl, GAIL's reward form", changes=("discriminator.reward=gail",)),
-    Variant(name="AGILE", changes=(*PLAIN, *AGILE)),
-    Variant(name="SQIL", changes=("algorithm=sqil",)),
+    Variant(name="AGILE", changes=(*PLAIN, *AGILE, "policy.entropy=0.006")),
+    Variant(name="SQIL", changes=("algorithm=sqil", "soft_q.temperature=0.01")),
     Variant(name="IQ-Learn", changes=("algorithm=iq_learn",)),
-    Variant(name="true reward", changes=("algorithm=true_reward",)),
+    TRUE_REWARD,
 )
-TUNED = (  # what each baseline was tried with, on tuning seeds
-    ("GAIL", "policy.entropy", (0.15, 0.03)),
+TUNED = (  # what each was tried with, on tuning seeds
+    ("giirl", "policy.entropy", (0.15, 0.03)),
+    ("plain Algorithm 1", "policy.entropy", (0.15, 0.03, 0.006)),
+    ("GAIL", "policy.entropy", (0.15, 0.03, 0.006)),
     ("AGILE", "policy.entropy", (0.15, 0.03, 0.006)),
-    ("SQIL", "soft_q.temperature", (0.1, 0.03, 0.01)),
-    ("IQ-Learn", "soft_q.temperature", (0.1, 0.03)),
+    ("SQIL", "soft_q.temperature", (0.1, 0.03, 0.01, 0.003)),
+    ("IQ-Learn", "soft_q.temperature", (0.3, 0.1, 0.03)),
     ("true reward", "policy.entropy", (0.15, 0.03, 0.006)),
 )
 NETS = (
@@ -79,7 +82,7 @@ FOLLOWERS = (
     GIIRL,
     CLONING,
     Variant(name="fresh policy, frozen reward", reward_of="giirl"),
-    Variant(name="true reward", changes=("algorithm=true_reward",)),
+    TRUE_REWARD,
 )
 
 
@@ -134,7 +137,7 @@ def _families() -> tuple[Variant, ...]:
         for target in targets:
             there = (f'tasks=["{target}"]',)
             followed = Variant(name=f"its reward, a fresh policy on {target}", changes=there, reward_of=learned.name)
-            sparse = Variant(name=f"true reward on {target}", changes=(*there, "algorithm=true_reward"))
+            sparse = Variant(name=f"true reward on {target}", changes=(*there, *TRUE_REWARD.changes))
             variants += [followed, sparse]
     return tuple(variants)
 
