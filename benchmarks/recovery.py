@@ -1,6 +1,6 @@
 """How soon a run is whole again after a part of it was killed: an actor, a replica of the reward service, the learner.
 
-    python -m benchmarks.recovery [--times 5] [--json FILE]
+    python -m benchmarks.recovery [--times 3] [--json FILE]
 
 A run with real Chrome on a Ray cluster of one node, as `ray start --head` makes it. Everything is killed with SIGKILL.
 An actor is back when its new incarnation has begun, and plays when that has finished its first episode (Chrome's start
@@ -25,6 +25,7 @@ import psutil
 from actors.tally import tallied
 from giirl.files import whole_file
 from giirl.progress import Display, Job
+from giirl.supervision import CRASHES
 from learner.checkpoint import latest_checkpoint
 from tests.end_to_end.cluster import ray_cluster
 from tests.end_to_end.commands import Command, find, run_folder, scrape, step, total
@@ -119,7 +120,9 @@ def _version(address: str) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--times", type=int, default=5, help="kills of each")
+    parser.add_argument(
+        "--times", type=int, default=3, choices=range(1, CRASHES - 1), help="kills of each; more are a crash loop"
+    )
     parser.add_argument("--json", type=Path, help="write the numbers here")
     arguments = parser.parse_args()
     result = {"recovery": measure(arguments.times, Display())}
