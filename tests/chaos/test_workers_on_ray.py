@@ -64,7 +64,7 @@ def test_a_run_whose_actor_dies_whenever_it_begins_gives_up_saves_and_says_so(fu
             incarnation, _ = tallied(tally)[-1]
             if incarnation not in begun:
                 begun.add(incarnation)
-                for actor in find(command, "ray::ActorOnRay"):
+                for actor in find(command, "ray::ActorProcess"):
                     actor.kill()
             return "0 of 1 actors are left" in command.err
 
@@ -81,15 +81,15 @@ def test_an_actor_that_hangs_and_a_reward_service_that_dies_are_replaced_while_t
         pytest.skip("takes minutes: `pytest tests/chaos` runs it")
     with run_folder() as run, Command(*WORDS, f"run={run}", env=AWAKE) as command:
         command.until(lambda: step(run) > 2, "first iterations", timeout_s=START_S)
-        (hung,) = find(command, "ray::ActorOnRay")
+        (hung,) = find(command, "ray::ActorProcess")
         hung.send_signal(signal.SIGSTOP)
-        command.until(lambda: hung not in find(command, "ray::ActorOnRay"), "end of the one that hangs", timeout_s=90)
+        command.until(lambda: hung not in find(command, "ray::ActorProcess"), "end of the one that hangs", timeout_s=90)
         goes_on(command, run)
-        first, second = find(command, "ray::RewardOnRay")
+        first, second = find(command, "ray::RewardProcess")
         first.kill()
         goes_on(command, run)
-        command.until(lambda: len(find(command, "ray::RewardOnRay")) == 2, "another replica", timeout_s=90)
-        assert second in find(command, "ray::RewardOnRay")
+        command.until(lambda: len(find(command, "ray::RewardProcess")) == 2, "another replica", timeout_s=90)
+        assert second in find(command, "ray::RewardProcess")
         command.stop(signal.SIGINT)
         assert command.wait(timeout_s=90) == 130, command.err
         assert command.remains() == []
@@ -104,14 +104,14 @@ def test_a_learner_that_died_on_a_cluster_comes_back_to_actors_and_replicas_that
         words = [word.replace("runtime=local", "runtime=ray").replace("every=1000", "every=5") for word in WORDS]
         with Command(*words, f"run={run}", env=driver) as first:
             first.until(lambda: step(run) > 5, "first iterations", timeout_s=START_S)
-            workers = {*find(head, "ray::ActorOnRay"), *find(head, "ray::RewardOnRay")}
+            workers = {*find(head, "ray::ActorProcess"), *find(head, "ray::RewardProcess")}
             assert len(workers) == 3
             first.process.kill()
             first.process.wait()
         saved = latest_checkpoint(run / "checkpoints").name
         with Command("train", "--resume", str(run), env=driver) as second:
             second.until(lambda: latest_checkpoint(run / "checkpoints").name > saved, "a checkpoint", timeout_s=START_S)
-            assert {*find(head, "ray::ActorOnRay"), *find(head, "ray::RewardOnRay")} == workers
+            assert {*find(head, "ray::ActorProcess"), *find(head, "ray::RewardProcess")} == workers
             second.stop(signal.SIGTERM)
             assert second.wait(timeout_s=90) == 130, second.err
         identity = (run / "identity").read_text()

@@ -1,6 +1,7 @@
 """A platform of threads: what Ray starts as processes runs in this one, so that one SIGKILL ends all of it at once.
 
-Sockets, messages and everything in `giirl.run_processes` are the real ones; only the processes are simulated.
+Sockets, messages and everything in `giirl.run_actor` and `giirl.run_reward_service` are the real ones; only the
+processes are simulated.
 """
 
 from __future__ import annotations
@@ -9,7 +10,8 @@ from concurrent.futures import Future, TimeoutError
 from threading import Thread
 from typing import Any
 
-from giirl.run_processes import ActorProcess, RewardProcess
+from giirl.run_actor import ActorProcess
+from giirl.run_reward_service import RewardProcess
 from giirl.supervision import Gone
 
 KINDS = {"actor": ActorProcess, "reward-service": RewardProcess}

@@ -112,7 +112,7 @@ def _kill_chrome(command: Command, seen: Survival) -> None:
         return total(seen.after_chrome, "giirl_env_steps_total") > before + 20
 
     before = total(try_scrape(seen.run, "actor-0"), "giirl_env_steps_total")
-    _chrome(_find(command, "ray::ActorOnRay")).send_signal(signal.SIGKILL)
+    _chrome(_find(command, "ray::ActorProcess")).send_signal(signal.SIGKILL)
     restarted = ("giirl_browser_restarts_total", "browser_died")
     command.until(lambda: total(try_scrape(seen.run, "actor-0"), restarted[0], cause=restarted[1]) > 0, "new Chrome")
     before = total(try_scrape(seen.run, "actor-0"), "giirl_env_steps_total")
@@ -127,10 +127,10 @@ def _kill_actor(command: Command, seen: Survival) -> None:
     before, reached = targets(seen.run)["actor-0"], step(seen.run)
     command.until(lambda: bool(_marks(seen.run)), "a checkpoint that knows the actor")
     seen.incarnations = [_incarnation(seen.run)]
-    process = _find(command, "ray::ActorOnRay")
+    process = _find(command, "ray::ActorProcess")
     process.kill()
     command.until(recovered, "episodes of a new actor")
-    seen.actors = [process.pid, _find(command, "ray::ActorOnRay").pid]
+    seen.actors = [process.pid, _find(command, "ray::ActorProcess").pid]
 
 
 def _kill_service(command: Command, seen: Survival) -> None:
@@ -140,10 +140,10 @@ def _kill_service(command: Command, seen: Survival) -> None:
         return total(seen.after_service, "giirl_scoring_requests_total", result="ok") > 0
 
     before = targets(seen.run)["reward-service-0"]
-    process = _find(command, "ray::RewardOnRay")
+    process = _find(command, "ray::RewardProcess")
     process.kill()
     command.until(recovered, "answers of a new reward service")
-    seen.services = [process.pid, _find(command, "ray::RewardOnRay").pid]
+    seen.services = [process.pid, _find(command, "ray::RewardProcess").pid]
 
 
 def _marks(run: Path) -> list[dict[str, Any]]:

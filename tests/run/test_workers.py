@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from pathlib import Path
 from threading import Thread
@@ -15,7 +17,7 @@ from giirl.config_file import dump_config
 from giirl.parameters import seal_net
 from giirl.reward import build_reward
 from giirl.run_folder import RunFolder
-from giirl.run_processes import RewardProcess
+from giirl.run_reward_service import RewardProcess
 from giirl.run_workers import WorkersRuntime
 from giirl.spec import Episode
 from tests.chaos.threads import ThreadPlatform
@@ -92,3 +94,10 @@ def test_a_reward_service_that_nobody_began_is_begun_and_one_that_serves_is_join
     for thread in threads:
         thread.join(10)
         assert not thread.is_alive()
+
+
+def test_reward_service_can_be_addressed_before_torch_and_all_that_actors_need_are_imported() -> None:
+    look = "import sys, giirl.run_reward_service; print(*{name.split('.')[0] for name in sys.modules})"
+    loaded = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True, timeout=60).stdout
+    assert not {"torch", "actors", "browser_farm", "learner"} & set(loaded.split())
+    assert "reward_service" in loaded.split()

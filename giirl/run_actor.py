@@ -1,65 +1,36 @@
-"""What runs inside the processes of an actor and of the reward service, whoever starts them."""
+"""What runs inside the process of an actor."""
 
 from __future__ import annotations
 
-import json
-import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-
-import torch
 
 from actors.choosers import NetChooser
 from actors.rollouts import Schedule
 from actors.tally import Tally
 from actors.uplink import Uplink, UplinkLimits
 from actors.worker import Orphaned, Worker, WorkerLimits
-from giirl.config import MAX_ACTORS, Config
-from giirl.config_file import parse_config
+from giirl.config import MAX_ACTORS
 from giirl.language import load_vectors
-from giirl.metrics import Metrics
-from giirl.reward import build_policy, build_reward
+from giirl.reward import build_policy
 from giirl.run_browser import open_browser
+from giirl.run_process import ORPHAN_S, TICK_S, WorkerProcess
 from giirl.score_client import ScoreClient
 from giirl.spec import Purpose, Weights
 from giirl.transport import Keys
-from reward_service.service import RewardService, Scorer
-
-ORPHAN_S = 900.0  # without a word of any learner
-TICK_S = 0.1
 
 
-def settle(config: str) -> Config:
-    """The config that the driver sent; and one thread for torch, since the cores are shared.
-
-    The words that every net needs are read while whoever wants this process hears that it is there.
-    """
-    torch.set_num_threads(1)
-    parsed = parse_config(json.loads(config), "the driver's config")
-    threading.Thread(target=load_vectors, args=(parsed.net.vectors,), daemon=True).start()
-    return parsed
-
-
-class ActorProcess:
+class ActorProcess(WorkerProcess):
     """One process that plays. `run` holds one thread until `stop`; the others are called by another."""
 
     def __init__(self, config: str, run: str, index: int, tally: str, keys: Keys | None) -> None:
-        self._config = settle(config)
-        self._run, self._index, self._tally, self._keys = run, index, Path(tally), keys
-        self._metrics = Metrics()
+        super().__init__(config, keys)
+        self._run, self._index, self._tally = run, index, Path(tally)
         self._worker: Worker | None = None
         self._newest: Weights | None = None
         self._scorers: tuple[str, ...] = ()
-        self._stopped = threading.Event()
-
-    def host(self) -> str:
-        """How the other processes of the run know this machine."""
-        return "127.0.0.1"
-
-    def leave(self) -> None:
-        """There is nobody to work for any more."""
 
     def addresses(self) -> tuple[str, str]:
         """Of the metrics; an actor serves nothing else."""
@@ -163,65 +134,3 @@ class ActorProcess:
             stride=count,
             quota=len(range(self._index, quota, count)),
         )
-
-
-class RewardProcess:
-    """One process that scores."""
-
-    def __init__(self, config: str, keys: Keys | None) -> None:
-        self._config, self._keys = settle(config), keys
-        self._metrics = Metrics()
-        self._service: RewardService | None = None
-        self._serves = False
-        self._stopped = threading.Event()
-        self._heard_s = time.monotonic()
-
-    def host(self) -> str:
-        """How the other processes of the run know this machine."""
-        return "127.0.0.1"
-
-    def leave(self) -> None:
-        """There is nobody to work for any more."""
-
-    def addresses(self) -> tuple[str, str]:
-        """Of the metrics, and of the socket where episodes are scored."""
-        host = self.host() if self._keys else "127.0.0.1"
-        self._service = self._service or RewardService(self._scorer, host=host, keys=self._keys, metrics=self._metrics)
-        return self._metrics.serve(self._config.metrics.host), self._service.address
-
-    def run(self, weights: Weights) -> None:
-        """Answer until stopped."""
-        service = self._service
-        assert service is not None
-        self.load(weights)
-        self._serves = True
-        try:
-            service.serve(lambda: self._stopped.is_set() or self._orphaned)
-        finally:
-            self._service, self._serves = None, False
-        if self._orphaned:
-            self.leave()
-
-    def rejoin(self, weights: Weights) -> None:
-        """A learner came back: its weights count from anew. Returns when `run` does, or at once when nothing runs."""
-        service = self._service
-        if service is not None and self._serves:
-            self._heard_s = time.monotonic()
-            service.set_weights(weights, anew=True)
-        while self._serves:
-            time.sleep(TICK_S)
-
-    def load(self, weights: Weights) -> None:
-        self._heard_s = time.monotonic()
-        if self._service is not None:
-            self._service.set_weights(weights)
-
-    @property
-    def _orphaned(self) -> bool:
-        return time.monotonic() - self._heard_s > ORPHAN_S
-
-    def stop(self) -> None:
-        self._stopped.set()
-
-    def _scorer(self, weights: Weights) -> Scorer:
-        return build_reward(self._config, weights).score
