@@ -34,10 +34,10 @@ class RewardProcess(WorkerProcess):
         """Answer until stopped; that there are no weights yet, while these are loaded."""
         service = self._service
         assert service is not None
-        self._serves = True
+        self._heard_s, self._serves = time.monotonic(), True
         try:
             with ThreadPoolExecutor(1) as loader:
-                loading = loader.submit(self.load, weights)
+                loading = loader.submit(service.set_first_weights, weights)
                 service.serve(lambda: self._stopped.is_set() or self._orphaned or _failed(loading))
                 loading.result()
         finally:

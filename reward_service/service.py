@@ -91,19 +91,28 @@ class RewardService:
         version. The very ones in use may come again; and, where a learner came back to a checkpoint, older ones `anew`.
         """
         with self._loading:
-            used = self._loaded
-            if used and (used.version, used.digest) == (weights.version, weights.digest):
-                return
-            try:
-                if weights.version <= self.version and not anew:
-                    raise ValueError(f"reward weights of version {weights.version} came after {self.version}")
-                weights.check()
-                score = self._load(weights)
-            except ValueError:
-                self._metrics.weights_refused.labels("reward").inc()
-                raise
-            self._loaded = _Loaded(version=weights.version, digest=weights.digest, score=score)
-            self._metrics.reward_version.set(weights.version)
+            self._replace(weights, anew=anew)
+
+    def set_first_weights(self, weights: Weights) -> None:
+        """The same for those to begin with: not wanted any more when others have come before them."""
+        with self._loading:
+            if self._loaded is None:
+                self._replace(weights)
+
+    def _replace(self, weights: Weights, *, anew: bool = False) -> None:
+        used = self._loaded
+        if used and (used.version, used.digest) == (weights.version, weights.digest):
+            return
+        try:
+            if weights.version <= self.version and not anew:
+                raise ValueError(f"reward weights of version {weights.version} came after {self.version}")
+            weights.check()
+            score = self._load(weights)
+        except ValueError:
+            self._metrics.weights_refused.labels("reward").inc()
+            raise
+        self._loaded = _Loaded(version=weights.version, digest=weights.digest, score=score)
+        self._metrics.reward_version.set(weights.version)
 
     def serve(self, stop: Callable[[], bool]) -> None:
         """Answer until `stop`, then let go of the port."""

@@ -56,6 +56,19 @@ def test_older_corrupt_and_unfit_weights_are_refused_and_change_nothing() -> Non
             assert client.score([trajectory(1)])[0][0].tolist() == [5.0]
 
 
+@pytest.mark.parametrize("sooner", [2, 6])
+def test_weights_to_begin_with_give_way_to_those_that_came_before_them(sooner: int) -> None:
+    metrics = Metrics()
+    with serving(RewardService(load, metrics=metrics)) as service:
+        service.set_weights(Weights.seal(sooner, b"7"))
+        service.set_first_weights(Weights.seal(5, b"5"))
+        assert service.version == sooner
+        assert not metrics.registry.get_sample_value("giirl_weights_refused_total", {"network": "reward"})
+    with serving(RewardService(load)) as service:
+        service.set_first_weights(Weights.seal(5, b"5"))
+        assert service.version == 5
+
+
 def test_a_swap_never_mixes_two_versions_in_one_answer() -> None:
     with serving(RewardService(load)) as service:
         service.set_weights(Weights.seal(0, b"0"))
