@@ -126,7 +126,8 @@ class PolicyConfig:
 class CloningConfig:
     """Behavioural cloning on the same nets."""
 
-    learning_rate: Annotated[float, Field(gt=0)] = 1e-3
+    learning_rate: Annotated[float, Field(gt=0)] = 1e-3  # of the first iteration
+    final_rate: Share = 1.0  # of it in the last one
     batch: Positive = 64
     rename: Share = 0.5
     jitter: Weight = 0.1
@@ -142,6 +143,7 @@ class SoftQConfig:
     batch: Positive = 64  # expert steps per update, and as many of the policy's
     gamma: Share = 0.9
     temperature: Annotated[float, Field(gt=0)] = 0.1  # alpha: Q(s, a) = V(s) + alpha log pi(a | s)
+    target_rate: Annotated[float, Field(gt=0, le=1)] = 0.05  # how fast SQIL's target net follows
     chi: Annotated[float, Field(gt=0)] = 0.5  # IQ-Learn's: large ones allow large rewards
     max_norm: Annotated[float, Field(gt=0)] = 1.0  # gradient norm
     rename: Share = 0.5

@@ -27,6 +27,16 @@ PLAIN = (  # Algorithm 1 as the thesis has it, and GAIL's way to play against a 
     "discriminator.rename=0",
     "policy.asked=0",
 )
+AIRL = (  # its reward is made for alpha = 1, and its D is right for what the policy does today and for nothing else
+    "discriminator.form=airl",
+    "discriminator.rollouts=0.5",
+    "discriminator.replay=0",
+    "discriminator.chance=0",
+    "discriminator.wrong_goal=0",
+    "discriminator.clip=10",
+    "policy.entropy=1",
+    "policy.final_entropy=1",
+)
 AGILE = (  # a classifier of how episodes end
     "discriminator.replay=1",
     "discriminator.judges=ends",
@@ -49,7 +59,7 @@ TUNED = (  # what each was tried with, on tuning seeds
     ("plain Algorithm 1", "policy.entropy", (0.15, 0.03, 0.006)),
     ("GAIL", "policy.entropy", (0.15, 0.03, 0.006)),
     ("AGILE", "policy.entropy", (0.15, 0.03, 0.006)),
-    ("SQIL", "soft_q.temperature", (0.1, 0.03, 0.01, 0.003)),
+    ("SQIL", "soft_q.temperature", (0.03, 0.01, 0.003)),
     ("IQ-Learn", "soft_q.temperature", (0.3, 0.1, 0.03)),
     ("true reward", "policy.entropy", (0.15, 0.03, 0.006)),
 )
@@ -59,8 +69,7 @@ NETS = (
     Variant(name="hashed words instead of GloVe", changes=("net.vectors=hashed",)),
     Variant(name="no overlap features", changes=("net.overlap=false",)),
     Variant(name="no neighbours", changes=("net.neighbours=false",)),
-    # Its reward is made for alpha = 1, and its D asks how likely the policy was to do what was done.
-    Variant(name="AIRL's form", changes=("discriminator.form=airl", "discriminator.wrong_goal=0", "policy.entropy=1")),
+    Variant(name="AIRL's form", changes=AIRL),
     Variant(name="slower as the policy improves", changes=("discriminator.slow=accuracy",)),
     Variant(name="gradient penalty 1", changes=("discriminator.gradient_penalty=1",)),
 )
@@ -109,17 +118,30 @@ def _budgets() -> tuple[Variant, ...]:
         for share in SPOILED
         for variant in (GIIRL, CLONING)
     ]
-    return (*few, *spoiled)
+    uninformed = Variant(  # spoilers act by chance, which a discriminator that has seen chance knows
+        name=f"giirl without actions of chance, {SPOILED[-1]:.0%} spoiled",
+        changes=("discriminator.chance=0", f"demos.spoiled={SPOILED[-1]}"),
+    )
+    return (*few, *spoiled, uninformed)
 
 
 def _tuning() -> tuple[Variant, ...]:
     """Entropy weights of policies are in nats of reward: rewards of another size want other ones."""
     known = {variant.name: variant for variant in BASELINES}
-    return tuple(
+    tried = [
         Variant(name=f"{name}, {key} {value}", changes=(*known[name].changes, f"{key}={value}"))
         for name, key, values in TUNED
         for value in values
-    )
+    ]
+    spoiled = (*CLONING.changes, f"demos.spoiled={SPOILED[-1]}")  # where a rate that stays high might hurt
+    cloned = [
+        Variant(
+            name=f"cloning, {SPOILED[-1]:.0%} spoiled, cloning.final_rate {value}",
+            changes=(*spoiled, f"cloning.final_rate={value}"),
+        )
+        for value in (1.0, 0.1)
+    ]
+    return (*tried, *cloned)
 
 
 def _families() -> tuple[Variant, ...]:

@@ -70,6 +70,7 @@ class Learner:
         anneal_reward(self.discriminator, done)
         anneal(self.policy, done)
         self.policy.entropy = fallen(self.config.policy.entropy, self.config.policy.final_entropy, done)
+        anneal(self.cloner, done)
         anneal(self.soft_q, done)
 
     def cloning_start(self) -> None:
@@ -127,7 +128,8 @@ class Learner:
         self.version = state["version"]
 
     def _nets(self) -> dict[str, nn.Module]:
-        return {"policy": self.policy.net, "reward": self.discriminator.model.net}
+        nets: dict[str, nn.Module] = {"policy": self.policy.net, "reward": self.discriminator.model.net}
+        return {**nets, "target": self.soft_q.target} if self.config.algorithm == "sqil" else nets
 
     def _optimisers(self) -> Mapping[str, torch.optim.Optimizer]:
         return {

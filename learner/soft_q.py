@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
@@ -39,6 +40,7 @@ class SoftQ:
         self.config, self.form, self.net, self.replay = config, form, net, replay
         self._draw, self._noise, self._metrics = draw, noise, metrics
         self.optimiser = torch.optim.Adam(net.parameters(), lr=config.learning_rate)
+        self.target = copy.deepcopy(net)  # follows `net` slowly; SQIL's Q moves towards what it says of the next page
 
     def update(self, expert: Sequence[Example], rollouts: Sequence[Example]) -> dict[str, float]:
         """Train on fresh draws from `expert` and from all rollouts so far."""
@@ -62,7 +64,7 @@ class SoftQ:
             later = rename(later, actions, config.rename, config.jitter, self._noise)
         logp, entropy, value = self.net.evaluate(batch, actions)
         goes_on = torch.tensor([there is not None for there in ahead])
-        following = self._values_ahead(later, goes_on, learned=self.form == "iq_learn")
+        following = self._values_ahead(later, goes_on)
         q = value + config.temperature * logp.squeeze(1)
         implied, drop = q - config.gamma * following, value - config.gamma * following
         of_expert, of_policy = implied[: len(shown)], implied[len(shown) :]
@@ -70,6 +72,8 @@ class SoftQ:
             sqil_loss(of_expert, of_policy) if self.form == "sqil" else iq_loss(of_expert, of_policy, drop, config.chi)
         )
         descend(self.optimiser, self.net, loss, config.max_norm)
+        with torch.no_grad():
+            torch._foreach_lerp_(list(self.target.parameters()), list(self.net.parameters()), config.target_rate)
         return {
             "p_loss": loss.item(),
             "p_entropy": entropy.mean().item(),
@@ -77,10 +81,11 @@ class SoftQ:
             "p_implied_rollouts": of_policy.mean().item(),
         }
 
-    def _values_ahead(self, ahead: Batch, goes_on: Tensor, *, learned: bool) -> Tensor:
-        """V(s') [B], 0 where the episode is over. SQIL's is fixed while Q moves towards it, IQ-Learn's is learned."""
+    def _values_ahead(self, ahead: Batch, goes_on: Tensor) -> Tensor:
+        """V(s') [B], 0 where the episode is over. SQIL's stays while Q moves towards it, IQ-Learn's is learned."""
+        learned = self.form == "iq_learn"
         with torch.set_grad_enabled(learned):
-            return torch.where(goes_on, self.net.worth(ahead), 0.0)
+            return torch.where(goes_on, (self.net if learned else self.target).worth(ahead), 0.0)
 
 
 def _transitions(examples: Sequence[Example], draw: np.random.Generator) -> tuple[list[Step], list[Step | None]]:

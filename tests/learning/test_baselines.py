@@ -121,15 +121,20 @@ def test_soft_q_learning_does_what_experts_do_and_values_it_as_the_rule_says(for
         assert stats["p_implied_rollouts"] == pytest.approx(0.0, abs=0.3)
 
 
-def test_the_value_ahead_is_that_of_the_following_page_and_nothing_after_the_end() -> None:
-    learner = imitator("sqil")
+@pytest.mark.parametrize("form", ["sqil", "iq_learn"])
+def test_the_value_ahead_is_that_of_the_following_page_and_nothing_after_the_end(form: str) -> None:
+    learner = imitator(form)
     two = study(trajectory(GOAL, [SHORT, FLAT], [RIGHT, Action(verb=Verb.CLICK, element=0)]), vectors())
     first, second = steps_of([two])
     batch, _ = collate_steps([second, first])
-    ahead = learner._values_ahead(batch, torch.tensor([True, False]), learned=False)
+    ahead = learner._values_ahead(batch, torch.tensor([True, False]))
     assert ahead.tolist() == [pytest.approx(learner.net.worth(batch)[0].item()), 0.0]
-    assert not ahead.requires_grad
-    assert learner._values_ahead(batch, torch.tensor([True, False]), learned=True).requires_grad
+    assert ahead.requires_grad is (form == "iq_learn")
+    learner.update([two], [two])
+    later = learner._values_ahead(batch, torch.tensor([True, False]))
+    now, slow = (net.worth(batch)[0].item() for net in (learner.net, learner.target))
+    assert later[0].item() == pytest.approx(slow if form == "sqil" else now)
+    assert abs(slow - ahead[0].item()) < abs(now - ahead[0].item())  # SQIL's target follows slowly
 
 
 def test_both_pages_of_a_transition_are_renamed_alike(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -196,11 +201,12 @@ def test_each_baseline_uses_what_it_may_and_nothing_else(algorithm: str, calls: 
     assert learner.calls == calls
 
 
-def test_about_the_asked_share_of_goals_is_held_out_and_case_makes_no_other_goal() -> None:
+def test_about_the_asked_share_of_goals_is_held_out_and_case_and_punctuation_make_no_other_goal() -> None:
     goals = [Goal(f'Click on the "word{number}" button.') for number in range(2_000)]
     held = [is_held_out(goal, 0.25) for goal in goals]
     assert 0.2 < np.mean(held) < 0.3
     assert held == [is_held_out(Goal(goal.utterance.replace("word", "WORD")), 0.25) for goal in goals]
+    assert held == [is_held_out(Goal(goal.utterance.replace('" button', '." button')), 0.25) for goal in goals]
     assert not any(is_held_out(goal, 0.0) for goal in goals)
 
 
