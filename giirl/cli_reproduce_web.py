@@ -51,7 +51,11 @@ def _command(name: str, study: Study) -> click.Command:
     @click.option("--demos", type=click.Path(path_type=Path), help="Public human recordings; scripted experts if not.")
     @click.option("--seeds", type=click.IntRange(1), default=1, show_default=True, help="How many.")
     @click.option(
-        "--first-seed", type=click.IntRange(0), default=0, help=f"From another on: {TUNING_SEEDS} and above for tuning."
+        "--first-seed",
+        type=click.IntRange(0),
+        default=TUNING_SEEDS if study.chooses else 0,
+        show_default=True,
+        help=f"{TUNING_SEEDS} and above are for choices, those below for reports.",
     )
     @click.option("--at-once", type=click.IntRange(1), default=2, show_default=True, help="Runs at the same time.")
     @click.option("--set", "changes", multiple=True, metavar="KEY=VALUE", help="For all runs; may be given again.")
@@ -81,6 +85,10 @@ def _reproduce(
         raise click.UsageError(
             f"seeds {seeds[0]} to {seeds[-1]} are for reports and for tuning: wanted all below {TUNING_SEEDS}, or none"
         )
+    if study.chooses and seeds[0] < TUNING_SEEDS:
+        raise click.UsageError(
+            f"seed {seeds[0]} is for reports and {name} is for choices: wanted {TUNING_SEEDS} or more"
+        )
     display, since_s = Display(), time.monotonic()
     alone = len(seeds) * len(study.variants) == 1
     base = (*base_settings(study, demos), f"runtime={'local' if alone else 'serial'}", *changes)
@@ -97,7 +105,7 @@ def _reproduce(
     if study.curves:
         from giirl.figures import draw_successes
 
-        figure = ROOT / f"{name}.png"
+        figure = (ROOT / name if json_file is None else json_file).with_suffix(".png")
         draw_successes(figure, result["runs"])
         display.say(f"drawn: {figure}")
     if json_file is not None:
@@ -107,7 +115,7 @@ def _reproduce(
 
 
 def summary(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """A study's numbers: those of its first variant at the top, every variant's below, every run's behind.
+    """A study's numbers: every variant's, and behind them every run's; at the top those of an only variant.
 
     Intervals are over pages, given these seeds; `worst_seed` says how far those are apart.
     """
@@ -129,16 +137,15 @@ def summary(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
         for group in ("trained_goals", "held_out_goals"):
             if all(group in row for run in mine for row in run["tasks"].values()):
                 variants[variant][group] = pooled(mine, group)
-    first = [run for run in runs if run["variant"] == runs[0]["variant"]]
-    return {
-        "study": name,
-        "tasks": variants[runs[0]["variant"]]["tasks"],
-        "seconds": max(run["seconds"] for run in first),
-        "env_steps": max(run["env_steps"] for run in first),
-        "demonstrations": first[0]["demonstrations"],
-        "variants": variants,
-        "runs": runs,
-    }
+    head = {}
+    if len(variants) == 1:
+        head = {
+            "tasks": variants[runs[0]["variant"]]["tasks"],
+            "seconds": max(run["seconds"] for run in runs),
+            "env_steps": max(run["env_steps"] for run in runs),
+            "demonstrations": runs[0]["demonstrations"],
+        }
+    return {"study": name, **head, "variants": variants, "runs": runs}
 
 
 def study_table(title: str, result: dict[str, Any]) -> Table:
@@ -157,12 +164,18 @@ def study_table(title: str, result: dict[str, Any]) -> Table:
             table.add_row(f"  goal's button first: {own:.3f}, after a swap {swapped:.3f}")
         if told := found.get("sensitivity"):
             table.add_row(
-                "  AUC of own and others' goals", "", *(_auc(told[task]) if task in told else "-" for task in tasks)
+                "  AUC of own and others' goals, worst seed",
+                "",
+                *(_auc(told[task]) if task in told else "-" for task in tasks),
             )
         if "held_out_goals" in found:
             table.add_row("  goals never seen", "", *(_cell(found["held_out_goals"][task]) for task in tasks))
     chance = {task: row["random"] for found in result["variants"].values() for task, row in found["tasks"].items()}
     table.add_row("any element, any word", "", *(f"{100 * chance[task]:.1f}" for task in tasks))
+    from giirl.run_evaluate import THESIS
+
+    if set(tasks) & set(THESIS):
+        table.add_row("thesis", "", *(f"{100 * THESIS[task]:.0f}" if task in THESIS else "-" for task in tasks))
     return table
 
 
@@ -189,17 +202,18 @@ def _lowest(runs: Sequence[dict[str, Any]], task: str) -> float | None:
 
 
 def _sensitivity(task: str, asked: Sequence[dict[str, Any]]) -> dict[str, float]:
-    """Of all seeds: the worst AUC, and the mean of its control; where goals were held out, the worst of those apart."""
+    """The AUC of the worst seed, and the mean of its control; where goals were held out, either kind's apart."""
     rows = [found[task] for found in asked]
     told = {"auc": min(row["auc"] for row in rows), "shuffled": fmean(row["shuffled"] for row in rows)}
-    if all("held_out_goals" in row for row in rows):
-        told["held_out_auc"] = min(row["held_out_goals"]["auc"] for row in rows)
+    for group in ("trained_goals", "held_out_goals"):
+        if all(group in row for row in rows):
+            told[group] = min(row[group]["auc"] for row in rows)
     return {name: round(value, 4) for name, value in told.items()}
 
 
 def _auc(told: dict[str, float]) -> str:
-    held_out = f", never seen {told['held_out_auc']:.3f}" if "held_out_auc" in told else ""
-    return f"{told['auc']:.3f}{held_out} (shuffled {told['shuffled']:.2f})"
+    never_seen = f", never seen {told['held_out_goals']:.3f}" if "held_out_goals" in told else ""
+    return f"{told.get('trained_goals', told['auc']):.3f}{never_seen} (shuffled {told['shuffled']:.2f})"
 
 
 def _cell(row: dict[str, Any]) -> str:

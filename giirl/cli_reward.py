@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import click
@@ -77,7 +78,8 @@ def inspect(run: Path, task: str, seed: int, goal: str | None, out: Path | None)
     out = out or folder.path / f"{task}-{seed}.html"
     writable(out)
     other = Goal(goal) if goal is not None else None
-    command = f"giirl reward inspect {run} --task {task} --seed {seed}"
+    said = [] if goal is None else ["--goal", goal]
+    command = shlex.join(["giirl", "reward", "inspect", str(run), "--task", task, "--seed", str(seed), *said])
     inspect(folder, config, EpisodeSpec(task=task, seed=seed), other, out, command)
     drawn(out)
 

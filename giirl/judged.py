@@ -104,7 +104,7 @@ def _options(page: Page, goal: Goal, row: int) -> list[Action]:
 def element_name(page: Page, row: int) -> str:
     """An element in words: its kind and what it reads."""
     kind, text = NAMES.get(page.tag[row], page.tag[row].replace("_", " ")), page.text[row] or page.value[row]
-    return f"{kind} “{_short(text)}”" if text else kind
+    return f"{kind} “{shortened(text)}”" if text else kind
 
 
 def action_words(page: Page, goal: Goal, action: Action) -> str:
@@ -113,10 +113,11 @@ def action_words(page: Page, goal: Goal, action: Action) -> str:
     if action.verb is not Verb.TYPE:
         return f"{Verb(action.verb).name.lower()} {where}"
     text = action.text(goal) if action.start != NO_SPAN else "…"
-    return f"type “{_short(text)}” into {where}"
+    return f"type “{shortened(text)}” into {where}"
 
 
-def _short(text: str) -> str:
+def shortened(text: str) -> str:
+    """At most LONGEST_NAME letters of it."""
     return text if len(text) <= LONGEST_NAME else text[: LONGEST_NAME - 1] + "…"
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from giirl.charts import Chart, Level, Line, draw_chart
 from giirl.config import Config
+from giirl.statistics import WINDOW
 
-WINDOW = 100  # training episodes in a row
 ACCURACY = "d_accuracy_"
 SOURCES = {
     "expert": "the expert's steps",

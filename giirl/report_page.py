@@ -10,7 +10,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from giirl import charts
-from giirl.judged import Frame, Judged, Scale, Strip, Valued, element_name, ranked
+from giirl.judged import Frame, Judged, Scale, Strip, Valued, element_name, ranked, shortened
 from giirl.shots import MOST_LABELS, Shot, draw_shot, number
 from giirl.spec import Goal, Verb
 
@@ -109,7 +109,7 @@ def _half(where: str, frame: Frame, whose: str, judged: Judged, scale: Scale) ->
 
 def _cell(one: Valued, goal: Goal) -> str:
     """A reward, and the words that earn it where typing them does."""
-    words = f"“{one.action.text(goal)}” " if one.action.verb is Verb.TYPE else ""
+    words = f"“{shortened(one.action.text(goal))}” " if one.action.verb is Verb.TYPE else ""
     return words + number(one.reward)
 
 

@@ -131,19 +131,12 @@ def auc(higher: Array, lower: Array) -> float:
     return float((rank[: higher.size].sum() - higher.size * (higher.size + 1) / 2) / (higher.size * lower.size))
 
 
-def goal_sensitivity(right: Array, wrong: Array) -> float:
-    """AUC of r(s,a|g) against r(s,a|g') for expert pairs [N] and goals g' [...] other than theirs.
+def goal_sensitivity(right: Array, wrong: Array, weight: Array | None = None) -> float:
+    """How often r(s,a|g) [...] of expert pairs is above their own r(s,a|g') [..., G], with goals g' other than theirs.
 
-    1/2 for a reward that does not read the instruction. Every right score is compared with every wrong one.
-    """
-    return auc(right, wrong)
-
-
-def paired_goal_sensitivity(right: Array, wrong: Array, weight: Array | None = None) -> float:
-    """The share of expert pairs whose r(s,a|g) [...] is above their own r(s,a|g') [..., G]; equal counts half.
-
-    What `goal_sensitivity` asks without comparing different (s, a), so a sum b(s,a) + c(g) cannot pass for reading.
-    `weight` [...] says how often the expert does each pair, where that is not alike.
+    An AUC within each pair: 1/2 for a reward that does not read the instruction; equal counts half. Different (s, a)
+    are not compared, so a sum b(s,a) + c(g) cannot pass for reading. `weight` [...] says how often the expert does
+    each pair, where that is not alike.
     """
     own = right[..., None] if wrong.ndim > right.ndim else right
     above = (own > wrong) + 0.5 * (own == wrong)

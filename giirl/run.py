@@ -24,7 +24,7 @@ from giirl.run_folder import RunFolder
 from giirl.run_serial import SerialRuntime
 from giirl.run_workers import WorkersRuntime
 from giirl.spec import Episode, Trajectory, Weights
-from giirl.statistics import lowest_window
+from giirl.statistics import WINDOW, lowest_window
 from giirl.stopping import Stopped, raise_if, stopping
 from learner.algorithms import ALGORITHMS
 from learner.checkpoint import latest_checkpoint, save_checkpoint
@@ -32,7 +32,6 @@ from learner.learner import Learner
 
 COUNTS = "counts.json"  # of a checkpoint
 REWARDING = ("giirl", "frozen")  # algorithms that end with a learned reward
-WINDOW = 100  # training episodes in a row, for the lowest success of a run's last third
 
 
 class Runtime(Protocol):

@@ -18,8 +18,8 @@ from giirl.reward_measures import (
     avoid_rank,
     entering_rate,
     epic_distance,
+    goal_sensitivity,
     matched_avoid_rank,
-    paired_goal_sensitivity,
     reoptimise,
     state_mean,
     value_correlation,
@@ -130,7 +130,7 @@ def _measure(config: Config, learner: GridLearner, world: World, pair: Pair) -> 
         epic=epic_distance(tables.reward, true.reward),
         avoid_rank=avoid_rank(world, score, pair),
         matched_avoid_rank=matched_avoid_rank(world, score, pair),
-        sensitivity=paired_goal_sensitivity(tables.reward, swapped, steps),
+        sensitivity=goal_sensitivity(tables.reward, swapped, steps),
         entered=entering_rate(world, agent, pair),
         expert_entered=entering_rate(world, true.expert, pair),
     )

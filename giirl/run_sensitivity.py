@@ -31,11 +31,12 @@ class Pair:
 
 
 def sensitivity(config: Config, reward: Weights, pages: int, metrics: Metrics, display: Display) -> dict[str, Any]:
-    """Per task, the AUC of r(s, a | g) against r(s, a | g'), with g' the goal of another fresh page of the task.
+    """Per task, how often r(s, a | g) is above r(s, a | g'), with g' the goal of another fresh page of the task.
 
-    Only steps whose meaning depends on the goal count: pressing Submit is right whatever is asked for. `shuffled`
-    is the control: both goals are others', so that nothing but chance is left. Where goals were held out of the
-    run's training, those pages are measured apart too.
+    That is an AUC of pairs: each step is compared with itself. Only steps whose meaning depends on the goal count:
+    pressing Submit is right whatever is asked for. `shuffled` controls the measure: both goals are others', so that
+    nothing but chance is left. Where goals were held out of the run's training, `trained_goals` and
+    `held_out_goals` tell of either kind by itself, with others of that kind as g'.
     """
     model = build_reward(config, reward)
     found: dict[str, Any] = {}
@@ -45,9 +46,10 @@ def sensitivity(config: Config, reward: Weights, pages: int, metrics: Metrics, d
         if len({pair.goal for pair in pairs}) < 2:
             continue  # one instruction for all pages says nothing about goals
         found[task] = _measure(model, pairs, config.seed)
-        held = [pair for pair in pairs if is_held_out(pair.goal, config.held_out_goals)]
-        if len({pair.goal for pair in held}) > 1:
-            found[task]["held_out_goals"] = _measure(model, held, config.seed)
+        for group, held_out in (("trained_goals", False), ("held_out_goals", True)) if config.held_out_goals else ():
+            part = [pair for pair in pairs if is_held_out(pair.goal, config.held_out_goals) is held_out]
+            if len({pair.goal for pair in part}) > 1:
+                found[task][group] = _measure(model, part, config.seed)
     return found
 
 
@@ -80,7 +82,12 @@ def _measure(model: RewardModel, pairs: Sequence[Pair], seed: int) -> dict[str, 
     draw = np.random.default_rng(seed)
     own = _score(model, pairs, [pair.goal for pair in pairs])
     first, second = (_score(model, pairs, [_another(pair.goal, pairs, draw) for pair in pairs]) for _ in range(2))
-    return {"auc": goal_sensitivity(own, first), "shuffled": goal_sensitivity(first, second), "pairs": len(pairs)}
+    return {
+        "auc": goal_sensitivity(own, first),
+        "shuffled": goal_sensitivity(first, second),
+        "pairs": len(pairs),
+        "goals": len({pair.goal for pair in pairs}),
+    }
 
 
 def _another(goal: Goal, pairs: Sequence[Pair], draw: np.random.Generator) -> Goal:

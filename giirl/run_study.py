@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.metadata
 import json
 import shutil
 import signal
@@ -23,10 +24,11 @@ from giirl.statistics import Score
 from learner.checkpoint import LATEST, latest_checkpoint
 
 POLL_S = 1.0
+VERSION = importlib.metadata.version("giirl")
 ASKED = "asked.json"  # in a run's folder: what its reward answered
 ELSEWHERE = "elsewhere.json"
 TOGGLED_TASK, ASKED_PAGES = "click-button", 500
-WINDOW = 50  # episodes of a task in a row
+STREAK = 50  # episodes of a task in a row
 POINTS = 60  # of a curve that is kept
 STOP_S = 60.0  # for a run that was told to stop, to save and end
 
@@ -67,7 +69,7 @@ def plan(base: Sequence[str], variants: Sequence[Variant], seeds: Sequence[int],
             if variant.reward_of:
                 changes += ["algorithm=frozen", f"reward_from={planned[variant.reward_of, seed].folder}"]
             config = load_config(None, changes)
-            key = hashlib.sha256("\n".join(changed(config)).encode()).hexdigest()[:12]
+            key = hashlib.sha256(f"{VERSION}\n{dump_config(config)}".encode()).hexdigest()[:12]
             planned[variant.name, seed] = Planned(variant=variant, seed=seed, config=config, folder=root / key)
     return list(planned.values())
 
@@ -191,6 +193,7 @@ def record(run: Planned) -> dict[str, Any]:
         result["tasks"] |= json.loads(elsewhere.read_text())
     return {
         "variant": run.variant.name,
+        "giirl": VERSION,
         "settings": [one for one in changed(run.config) if not one.startswith("reward_from=")],
         **({"reward_of": run.variant.reward_of} if run.variant.reward_of else {}),
         **result,
@@ -202,18 +205,18 @@ def record(run: Planned) -> dict[str, Any]:
 
 
 def _recent(points: Sequence[dict[str, Any]]) -> list[dict[str, float | None]]:
-    """At every point, the success of the last WINDOW training episodes of each task; None of fewer."""
+    """At every point, the success of the last STREAK training episodes of each task; None of fewer."""
     last: dict[str, deque[int]] = {}
     found = []
     for point in points:
         for task, outcomes in point["outcomes"].items():
-            last.setdefault(task, deque(maxlen=WINDOW)).extend(outcomes)
-        found.append({task: sum(some) / WINDOW if len(some) == WINDOW else None for task, some in last.items()})
+            last.setdefault(task, deque(maxlen=STREAK)).extend(outcomes)
+        found.append({task: sum(some) / STREAK if len(some) == STREAK else None for task, some in last.items()})
     return found
 
 
 def _reached(points: Sequence[dict[str, Any]], share: float, unit: str) -> dict[str, int | None]:
-    """Per task, how many episodes or steps of all tasks went before WINDOW of its own in a row reached `share`."""
+    """Per task, how many episodes or steps of all tasks went before STREAK of its own in a row reached `share`."""
     reached: dict[str, int | None] = {}
     for point, recent in zip(points, _recent(points), strict=True):
         for task, success in recent.items():

@@ -105,6 +105,7 @@ class Study:
     pages: int = 200
     curves: bool = False  # whether success against environment steps is drawn
     asked: bool = False  # whether each learned reward is asked for other goals than the page's own
+    chooses: bool = False  # whether settings are chosen by it, so that its seeds are those for tuning
 
 
 def _budgets() -> tuple[Variant, ...]:
@@ -169,9 +170,9 @@ STUDIES = {
     "figure-4.7": Study(what="True success while a reward is learned", variants=(GIIRL,), curves=True),
     "figure-4.8": Study(what="GIIRL and cloning as they train", variants=(GIIRL, CLONING, BARE_CLONING), curves=True),
     "meaning": Study(what="Whether the reward reads the instruction", variants=(GIIRL,), asked=True),
-    "defaults": Study(what="What the defaults are worth", variants=DEFAULTS, asked=True),
+    "defaults": Study(what="What the defaults are worth", variants=DEFAULTS, asked=True, chooses=True),
     "baselines": Study(what="What GIIRL is compared with, on the same nets", variants=BASELINES, curves=True),
-    "tuning": Study(what="What the baselines were tried with", variants=_tuning()),
+    "tuning": Study(what="What the baselines were tried with", variants=_tuning(), chooses=True),
     "budgets": Study(what="Few demonstrations, and spoiled ones", variants=_budgets()),
     "frozen": Study(what="Fresh policies on the frozen reward", variants=FOLLOWERS, curves=True),
     "held-out": Study(

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 Z_95 = 1.959963984540054
+WINDOW = 100  # training episodes in a row, of which the success is told
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -64,7 +64,9 @@ def test_runs_are_done_once_and_one_that_fails_does_not_stop_the_others(
     answers = result["variants"]["giirl"]
     assert {"own_goal_top1", "swapped_goal_top1"} == set(answers["toggle"])
     assert set(answers["sensitivity"]) == {"click-button", "enter-text"}  # where instructions differ
-    assert study_table("test", result).row_count == 12  # three for each, two of what the reward answered, and chance
+    assert (
+        study_table("test", result).row_count == 13
+    )  # three for each, two of what the reward answered, chance and the thesis
 
 
 def made(variant: str, seed: int, successes: list[int]) -> dict[str, Any]:
@@ -112,6 +114,26 @@ def test_tuning_and_reporting_never_share_a_study() -> None:
     said = CliRunner().invoke(command, ["--first-seed", "98", "--seeds", "3"])
     assert said.exit_code == 2
     assert "seeds 98 to 100 are for reports and for tuning: wanted all below 100, or none" in said.output
+
+
+@pytest.mark.parametrize("name", [name for name, study in STUDIES.items() if study.chooses])
+def test_choices_are_made_on_tuning_seeds_alone(name: str) -> None:
+    (command,) = [command for command in commands() if command.name == name]
+    assert {p.name: p.default for p in command.params}["first_seed"] == 100
+    said = CliRunner().invoke(command, ["--first-seed", "0"])
+    assert said.exit_code == 2
+    assert f"seed 0 is for reports and {name} is for choices: wanted 100 or more" in said.output
+
+
+def test_a_run_is_never_taken_for_one_of_other_settings_or_of_another_version(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folders = [one.folder for one in plan(SETTINGS, VARIANTS[:1], [0, 1], tmp_path)]
+    folders += [plan((*SETTINGS, "policy.gamma=0.8"), VARIANTS[:1], [0], tmp_path)[0].folder]
+    assert plan((*SETTINGS, "policy.gamma=0.9"), VARIANTS[:1], [0], tmp_path)[0].folder == folders[0]  # the default
+    monkeypatch.setattr("giirl.run_study.VERSION", "another")
+    folders += [plan(SETTINGS, VARIANTS[:1], [0], tmp_path)[0].folder]
+    assert len(set(folders)) == 4
 
 
 @pytest.mark.parametrize("name", sorted(STUDIES))

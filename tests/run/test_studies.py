@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -131,3 +132,12 @@ def test_sensitivity_is_measured_for_tasks_with_more_than_one_goal_and_chance_is
         assert row["pairs"] >= 20
         assert 0.0 <= row["auc"] <= 1.0
         assert row["shuffled"] == pytest.approx(0.5, abs=0.2)
+        assert not {"trained_goals", "held_out_goals"} & set(row)
+    apart = sensitivity(
+        replace(config, held_out_goals=SHARE), reward_of_run(tmp_path / "run"), 30, Metrics(), Display()
+    )
+    for task, row in apart.items():
+        groups = [row["trained_goals"], row["held_out_goals"]]
+        assert {name: row[name] for name in found[task]} == found[task]
+        for unit in ("pairs", "goals"):
+            assert sum(group[unit] for group in groups) == row[unit]
