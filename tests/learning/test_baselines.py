@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from giirl.config import Config, DiscriminatorConfig, NetConfig, PolicyConfig, SoftQConfig
+from giirl.config import CloningConfig, Config, DiscriminatorConfig, NetConfig, PolicyConfig, SoftQConfig
 from giirl.features import Batch, rename
 from giirl.goals import is_held_out
 from giirl.metrics import Metrics
@@ -283,15 +283,17 @@ def test_a_discriminator_that_slows_with_its_accuracy_learns_at_full_rate_while_
         assert learner.discriminator.optimiser.param_groups[0]["lr"] == pytest.approx(rate)
 
 
-def test_a_policy_s_rate_and_its_entropy_fall_along_a_line() -> None:
+def test_the_rates_of_policy_and_cloning_and_the_entropy_fall_along_a_line() -> None:
     demonstrations = [episode.trajectory for episode in expert_episodes(1)]
     config = Config(
         iterations=101,
         net=NetConfig(width=16, vectors="hashed"),
         policy=PolicyConfig(learning_rate=1.0, final_rate=0.2, entropy=0.5, final_entropy=0.4),
+        cloning=CloningConfig(learning_rate=2.0, final_rate=0.2),
     )
     learner = Learner(config, demonstrations, Metrics())
     for step, rate, entropy in ((0, 1.0, 0.5), (50, 0.6, 0.35), (100, 0.2, 0.2)):
         learner.anneal(step)
         assert learner.policy.optimiser.param_groups[0]["lr"] == pytest.approx(rate)
+        assert learner.cloner.optimiser.param_groups[0]["lr"] == pytest.approx(2 * rate)
         assert learner.policy.entropy == pytest.approx(entropy)
