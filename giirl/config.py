@@ -127,7 +127,7 @@ class CloningConfig:
     """Behavioural cloning on the same nets."""
 
     learning_rate: Annotated[float, Field(gt=0)] = 1e-3  # of the first iteration
-    final_rate: Share = 1.0  # of it in the last one
+    final_rate: Share = 0.1  # of it in the last one
     batch: Positive = 64
     rename: Share = 0.5
     jitter: Weight = 0.1

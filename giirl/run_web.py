@@ -14,9 +14,9 @@ SPOILED = (0.1, 0.3)
 GIIRL = Variant(name="giirl")
 CLONING = Variant(name="cloning", changes=("algorithm=cloning",))
 TRUE_REWARD = Variant(name="true reward", changes=("algorithm=true_reward", "policy.entropy=0.006"))
-BARE_CLONING = Variant(  # to the same words and places, four times as long: where it overfits, this shows it
+BARE_CLONING = Variant(  # same words and places, four times as long, at one rate: where it overfits, this shows it
     name="cloning, nothing renamed, 1,200 updates",
-    changes=("algorithm=cloning", "cloning.rename=0", "cloning.jitter=0", "iterations=1200"),
+    changes=("algorithm=cloning", "cloning.rename=0", "cloning.jitter=0", "cloning.final_rate=1", "iterations=1200"),
 )
 PLAIN = (  # Algorithm 1 as the thesis has it, and GAIL's way to play against a discriminator
     "discriminator.rollouts=1",
@@ -50,7 +50,7 @@ BASELINES = (
     Variant(name="GAIL", changes=(*PLAIN, "discriminator.reward=gail", "policy.entropy=0.03")),
     Variant(name="giirl, GAIL's reward form", changes=("discriminator.reward=gail",)),
     Variant(name="AGILE", changes=(*PLAIN, *AGILE, "policy.entropy=0.006")),
-    Variant(name="SQIL", changes=("algorithm=sqil", "soft_q.temperature=0.01")),
+    Variant(name="SQIL", changes=("algorithm=sqil", "soft_q.temperature=0.003")),
     Variant(name="IQ-Learn", changes=("algorithm=iq_learn",)),
     TRUE_REWARD,
 )
@@ -60,7 +60,7 @@ TUNED = (  # what each was tried with, on tuning seeds
     ("GAIL", "policy.entropy", (0.15, 0.03, 0.006)),
     ("AGILE", "policy.entropy", (0.15, 0.03, 0.006)),
     ("SQIL", "soft_q.temperature", (0.03, 0.01, 0.003)),
-    ("IQ-Learn", "soft_q.temperature", (0.3, 0.1, 0.03)),
+    ("IQ-Learn", "soft_q.temperature", (1.0, 0.3, 0.1, 0.03)),
     ("true reward", "policy.entropy", (0.15, 0.03, 0.006)),
 )
 NETS = (
