@@ -99,7 +99,7 @@ def _reproduce(
         if study.asked:
             ask_all(runs, display)
         measure_elsewhere(runs, display)
-    result = summary(name, [record(run) for run in runs])
+    result = summary(name, [record(run, asked=study.asked) for run in runs])
     if alone:
         result["wall_seconds"] = round(time.monotonic() - since_s, 1)
     if study.curves:

@@ -183,21 +183,21 @@ def measure_elsewhere(runs: Sequence[Planned], display: Display) -> None:
             folder.write_json(folder.path / ELSEWHERE, evaluate(config, policy, Metrics(), display))
 
 
-def record(run: Planned) -> dict[str, Any]:
-    """What a run that is done has to tell: its result, and its curve, shortened."""
+def record(run: Planned, *, asked: bool = False) -> dict[str, Any]:
+    """What a run that is done has to tell: its result, its curve, shortened, and what its reward answered if `asked`."""
     folder = RunFolder(run.folder)
     points = folder.points()
     result: dict[str, Any] = json.loads(folder.result.read_text())
-    asked, elsewhere = folder.path / ASKED, folder.path / ELSEWHERE
     if run.variant.elsewhere:
-        result["tasks"] |= json.loads(elsewhere.read_text())
+        result["tasks"] |= json.loads((folder.path / ELSEWHERE).read_text())
+    answers = folder.path / ASKED
     return {
         "variant": run.variant.name,
         "giirl": VERSION,
         "settings": [one for one in changed(run.config) if not one.startswith("reward_from=")],
         **({"reward_of": run.variant.reward_of} if run.variant.reward_of else {}),
         **result,
-        **(json.loads(asked.read_text()) if asked.exists() else {}),
+        **(json.loads(answers.read_text()) if asked and answers.exists() else {}),
         "episodes_to": {f"{share:g}": _reached(points, share, "episodes") for share in (0.95, 0.99)},
         "env_steps_to": {f"{share:g}": _reached(points, share, "env_steps") for share in (0.95, 0.99)},
         "curve": _shortened(points),

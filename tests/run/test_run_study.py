@@ -54,7 +54,9 @@ def test_runs_are_done_once_and_one_that_fails_does_not_stop_the_others(
     assert before == {name: RunFolder(run.folder).result.stat().st_mtime_ns for name, run in done.items()}
     ask_all(list(done.values()), Display())
     measure_elsewhere(list(done.values()), Display())
-    records = [record(run) for run in done.values()]
+    records = [record(run, asked=True) for run in done.values()]
+    assert "toggle" in records[0]
+    assert "toggle" not in record(done["giirl"])
     assert [each["algorithm"] for each in records] == ["giirl", "frozen", "cloning"]
     assert records[0]["curve"][-1]["episodes"] == 2 * 8
     result = summary("test", records)
