@@ -184,7 +184,7 @@ def measure_elsewhere(runs: Sequence[Planned], display: Display) -> None:
 
 
 def record(run: Planned, *, asked: bool = False) -> dict[str, Any]:
-    """What a run that is done has to tell: its result, its curve, shortened, and what its reward answered if `asked`."""
+    """What a run that is done has to tell: its result, its curve, what its reward answered if `asked`."""
     folder = RunFolder(run.folder)
     points = folder.points()
     result: dict[str, Any] = json.loads(folder.result.read_text())
