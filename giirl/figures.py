@@ -57,7 +57,8 @@ def draw_maps(path: Path, layout: Layout, panels: Sequence[Panel]) -> None:
 def draw_successes(path: Path, runs: Sequence[Mapping[str, Any]]) -> None:
     """Success of the exploring policy against environment steps, a panel a task: each variant's mean over its seeds,
     and a band from the worst seed to the best; a run that needed fewer steps for its episodes counts on with its last.
-    `runs` have "variant", "seed" and "curve", as a study records them."""
+    `runs` have "variant", "seed" and "curve", as a study records them.
+    """
     tasks = list(runs[0]["tasks"])
     figure = Figure(figsize=(INCHES * len(tasks), 2.6), layout="constrained")
     axes = figure.subplots(1, len(tasks), squeeze=False, sharey=True)[0]
@@ -66,12 +67,14 @@ def draw_successes(path: Path, runs: Sequence[Mapping[str, Any]]) -> None:
             curves = [run["curve"] for run in runs if run["variant"] == variant and task in run["tasks"]]
             if not curves:
                 continue
-            steps = np.linspace(0, max(curve[-1]["env_steps"] for curve in curves), 100)
+            ends = min(curve[0]["env_steps"] for curve in curves), max(curve[-1]["env_steps"] for curve in curves)
+            steps = np.geomspace(*ends, 200)
             lines = np.stack([_success_at(steps, curve, task) for curve in curves])
             (line,) = axis.plot(steps, lines.mean(axis=0), label=variant)
             axis.fill_between(steps, lines.min(axis=0), lines.max(axis=0), color=line.get_color(), alpha=0.2)
         axis.set_title(task, fontsize=9)
         axis.set_xlabel("environment steps", fontsize=8)
+        axis.set_xscale("log")
         axis.set_ylim(-0.02, 1.02)
         axis.tick_params(labelsize=7)
     axes[0].set_ylabel("success", fontsize=8)
@@ -82,7 +85,7 @@ def draw_successes(path: Path, runs: Sequence[Mapping[str, Any]]) -> None:
 def _success_at(steps: NDArray[np.float64], curve: Sequence[Mapping[str, Any]], task: str) -> NDArray[np.float64]:
     """Between the points of a curve in a straight line; nan before there were enough episodes, the last one after."""
     got = [np.nan if point["success"].get(task) is None else point["success"][task] for point in curve]
-    line: NDArray[np.float64] = np.interp(steps, [point["env_steps"] for point in curve], got)
+    line: NDArray[np.float64] = np.interp(steps, [point["env_steps"] for point in curve], got, left=np.nan)
     return line
 
 

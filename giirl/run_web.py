@@ -51,7 +51,7 @@ BASELINES = (
     Variant(name="giirl, GAIL's reward form", changes=("discriminator.reward=gail",)),
     Variant(name="AGILE", changes=(*PLAIN, *AGILE, "policy.entropy=0.006")),
     Variant(name="SQIL", changes=("algorithm=sqil", "soft_q.temperature=0.003")),
-    Variant(name="IQ-Learn", changes=("algorithm=iq_learn",)),
+    Variant(name="IQ-Learn", changes=("algorithm=iq_learn", "soft_q.temperature=0.3")),
     TRUE_REWARD,
 )
 TUNED = (  # what each was tried with, on tuning seeds
