@@ -26,6 +26,7 @@ class NetConfig:
     order: bool = True  # whether words are read with their neighbours; False makes the goal a bag of words
     overlap: bool = True  # whether a net is told which words goal and page share
     neighbours: bool = True  # whether an element is read with the others around it
+    beside: bool = False  # whether it is also read with whatever stands right beside it, as a box with its label
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)

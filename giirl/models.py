@@ -8,12 +8,25 @@ import torch
 from torch import Tensor, nn
 
 from giirl.config import NetConfig
-from giirl.features import CLASSES, ELEMENT_FLAGS, TAGS, TOKEN_FLAGS, ActionBatch, Batch, without_overlap
+from giirl.features import (
+    CLASSES,
+    ELEMENT_FLAGS,
+    HEIGHT_PX,
+    POSITION,
+    TAGS,
+    TOKEN_FLAGS,
+    WIDTH_PX,
+    ActionBatch,
+    Batch,
+    without_overlap,
+)
 from giirl.language import PADDING, Vectors
 from giirl.spec import LEARNED, NO_SPAN, Verb
 
 VERBS = len(LEARNED)  # CLICK and TYPE, which are 0 and 1: the nets go on learning these alone
 NEVER = -1e9  # the logit of what may not be chosen
+BESIDE_PX = 4.0  # what stands further away counts e times less
+LINES_APART = 3.0  # how much more a pixel up or down counts than one to the side
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +56,7 @@ class Encoder(nn.Module):
         self.align = nn.Linear(width, width)
         self.aligned = nn.Linear(2 * width, width)
         self.neighbours = Attention(width)
+        self.beside = nn.Linear(width, width) if config.beside else None
         self.goal_pool = nn.Linear(width, 1)
         self.summary = nn.Linear(3 * width, width)
 
@@ -80,7 +94,24 @@ class Encoder(nn.Module):
         alignment = torch.einsum("bel,bld->bed", likeness, tokens)
         hidden = hidden + torch.relu(self.aligned(torch.cat([hidden, alignment], dim=2)))
         out: Tensor = hidden + self.neighbours(hidden, batch.element_mask) if self.config.neighbours else hidden
+        if self.beside is not None:
+            out = out + torch.relu(self.beside(torch.einsum("bij,bjd->bid", nearness(batch), hidden)))
         return out
+
+
+def nearness(batch: Batch) -> Tensor:
+    """[B, E, E] for each element its leaves by pixel distance, most of the weight on what is beside it in its line.
+
+    DOMNet's neighbours in pixels (Liu et al. 2018) in a soft form. Shares of the leaves other than itself, 0 of others.
+    """
+    box = batch.element_flags[:, :, POSITION] * torch.tensor([WIDTH_PX, HEIGHT_PX, WIDTH_PX, HEIGHT_PX])
+    size = box[:, :, 2:]
+    centre = box[:, :, :2] + size / 2
+    gap = (centre[:, :, None] - centre[:, None]).abs() - (size[:, :, None] + size[:, None]) / 2
+    across, down = gap.clamp(min=0).unbind(3)
+    other = batch.clickable[:, None, :] & ~torch.eye(box.shape[1], dtype=torch.bool)
+    scores = (-(across + LINES_APART * down) / BESIDE_PX).masked_fill(~other, NEVER)
+    return scores.softmax(2) * other
 
 
 class Attention(nn.Module):

@@ -185,7 +185,7 @@ STUDIES = {
     "families": Study(
         what="A reward moved within a family of tasks",
         variants=_families(),
-        settings=("step_limit=20",),  # twelve boxes may have to be ticked
+        settings=("step_limit=20", "net.beside=true"),  # twelve boxes to tick, whose labels stand beside them
     ),
     "nets": Study(what="What each part of the nets is worth, in policy and reward alike", variants=NETS, asked=True),
 }

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from giirl.config import NetConfig
 from giirl.features import ActionBatch, collate_actions
-from giirl.models import Policy
+from giirl.models import Policy, nearness
 from giirl.spec import Action, Goal, Page, Verb
 from learner.actor_critic import chance_logp, join
-from tests.learning.samples import CASES, LONG, SHORT, batch_of, legal_actions, policy
+from tests.learning.samples import CASES, LONG, SHORT, batch_of, legal_actions, page, policy, vectors
 
 IDS = ["long", "short", "flat"]
 
@@ -157,3 +161,28 @@ def test_joining_puts_the_action_taken_first() -> None:
     assert both.verb.tolist() == [[1, 0, 0]]
     assert both.start.tolist() == [[1, -1, -1]]
     assert both.first() == taken.first()
+
+
+def labels(first: str, second: str) -> Page:
+    """Two boxes with a label each, in two lines of a form."""
+    shown = page("div", "input_checkbox", f"t:{first}", "input_checkbox", f"t:{second}", parent=(-1, 0, 0, 0, 0))
+    box = np.array([[0, 0, 160, 50], [4, 4, 13, 13], [21, 3, 30, 16], [4, 24, 13, 13], [21, 23, 30, 16]])
+    return replace(shown, box=box.astype(np.float32))
+
+
+def test_what_is_beside_an_element_is_its_nearest_leaf_in_the_same_line() -> None:
+    near = nearness(batch_of((labels("Ok", "No"), Goal("Select Ok")), (SHORT, Goal("Type ok."))))
+    assert near[0].argmax(1).tolist()[1:] == [2, 1, 4, 3]
+    assert near[0].max(1).values[1:].min() > 0.8
+    assert near.diagonal(dim1=1, dim2=2).abs().sum() == 0
+    assert near[0, :, 0].sum() == 0  # a group is no leaf
+    assert near[1, :, 2:].sum() == 0  # nor is what pads a smaller page
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_a_net_may_read_a_box_with_its_label_alone(beside: bool) -> None:
+    goal = Goal("Select Ok")
+    torch.manual_seed(0)
+    encoder = Policy(vectors(), NetConfig(width=16, beside=beside, neighbours=False)).encoder
+    one, other = (encoder(batch_of((labels(*text), goal))).elements[0, 1] for text in (("Ok", "No"), ("No", "Ok")))
+    assert torch.allclose(one, other, atol=1e-6) is not beside
