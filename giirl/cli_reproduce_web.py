@@ -81,13 +81,13 @@ def _reproduce(
     from giirl.run_study import ask_all, measure_elsewhere, plan, record, run_all
 
     writable(json_file)
-    if seeds[0] < TUNING_SEEDS <= seeds[-1]:
-        raise click.UsageError(
-            f"seeds {seeds[0]} to {seeds[-1]} are for reports and for tuning: wanted all below {TUNING_SEEDS}, or none"
-        )
     if study.chooses and seeds[0] < TUNING_SEEDS:
         raise click.UsageError(
             f"seed {seeds[0]} is for reports and {name} is for choices: wanted {TUNING_SEEDS} or more"
+        )
+    if seeds[0] < TUNING_SEEDS <= seeds[-1]:
+        raise click.UsageError(
+            f"seeds {seeds[0]} to {seeds[-1]} are for reports and for tuning: wanted all below {TUNING_SEEDS}, or none"
         )
     display, since_s = Display(), time.monotonic()
     alone = len(seeds) * len(study.variants) == 1
@@ -105,7 +105,8 @@ def _reproduce(
     if study.curves:
         from giirl.figures import draw_successes
 
-        figure = (ROOT / name if json_file is None else json_file).with_suffix(".png")
+        beside = ROOT / f"{name}.json" if json_file is None else json_file
+        figure = beside.with_name(f"{beside.name.removesuffix('.json')}.png")
         draw_successes(figure, result["runs"])
         display.say(f"drawn: {figure}")
     if json_file is not None:

@@ -128,7 +128,7 @@ class CloningConfig:
     """Behavioural cloning on the same nets."""
 
     learning_rate: Annotated[float, Field(gt=0)] = 1e-3  # of the first iteration
-    final_rate: Share = 0.1  # of it in the last one
+    final_rate: Share = 0.1  # of it in the last one; the grid's stays as it is
     batch: Positive = 64
     rename: Share = 0.5
     jitter: Weight = 0.1

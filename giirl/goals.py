@@ -17,7 +17,7 @@ def is_held_out(goal: Goal, share: float) -> bool:
     """True for about `share` of all goals, the same ones in every run.
 
     What is quoted in an instruction is its goal: a button's label, a person to type, a link. Without quotes it is
-    the whole instruction. Its words count, not their case or the punctuation between, which nets do not read either.
+    the whole instruction. Its words count, not their case or the punctuation between.
     """
     names = QUOTED.findall(goal.utterance) or [goal.utterance]
     words = WORD.findall(" ".join(names).lower())

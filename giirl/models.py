@@ -100,9 +100,10 @@ class Encoder(nn.Module):
 
 
 def nearness(batch: Batch) -> Tensor:
-    """[B, E, E] for each element its leaves by pixel distance, most of the weight on what is beside it in its line.
+    """[B, E, E] for each element its leaves by pixel distance: shares of those other than itself, 0 of others.
 
-    DOMNet's neighbours in pixels (Liu et al. 2018) in a soft form. Shares of the leaves other than itself, 0 of others.
+    DOMNet's neighbours in pixels (Liu et al. 2018) in a soft form: most of the weight is on what is beside it in its
+    line, where lines are some px apart, edge to edge.
     """
     box = batch.element_flags[:, :, POSITION] * torch.tensor([WIDTH_PX, HEIGHT_PX, WIDTH_PX, HEIGHT_PX])
     size = box[:, :, 2:]

@@ -48,7 +48,7 @@ class Variant:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Planned:
-    """One run of a study: its folder is named after everything that decides what comes out of it."""
+    """One run of a study: its folder is named after its settings and the version of GIIRL."""
 
     variant: Variant
     seed: int

@@ -77,6 +77,7 @@ class Learner:
         """Clone for `policy.cloning_start` updates before anything else; none by default."""
         for _ in range(self.config.policy.cloning_start):
             self.cloner.update(self.demos.sample(self.config.cloning.batch))
+        self.soft_q.follow(1.0)
 
     def take_reward(self, weights: Weights) -> None:
         """Reward with another run's net; ValueError when it has another shape."""

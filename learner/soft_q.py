@@ -40,7 +40,8 @@ class SoftQ:
         self.config, self.form, self.net, self.replay = config, form, net, replay
         self._draw, self._noise, self._metrics = draw, noise, metrics
         self.optimiser = torch.optim.Adam(net.parameters(), lr=config.learning_rate)
-        self.target = copy.deepcopy(net)  # follows `net` slowly; SQIL's Q moves towards what it says of the next page
+        # Follows `net` slowly: SQIL's Q moves towards what it says of the next page. The table of words is shared.
+        self.target = copy.deepcopy(net, {id(net.encoder.table): net.encoder.table}) if form == "sqil" else net
 
     def update(self, expert: Sequence[Example], rollouts: Sequence[Example]) -> dict[str, float]:
         """Train on fresh draws from `expert` and from all rollouts so far."""
@@ -72,8 +73,8 @@ class SoftQ:
             sqil_loss(of_expert, of_policy) if self.form == "sqil" else iq_loss(of_expert, of_policy, drop, config.chi)
         )
         descend(self.optimiser, self.net, loss, config.max_norm)
-        with torch.no_grad():
-            torch._foreach_lerp_(list(self.target.parameters()), list(self.net.parameters()), config.target_rate)
+        if self.target is not self.net:
+            self.follow(config.target_rate)
         return {
             "p_loss": loss.item(),
             "p_entropy": entropy.mean().item(),
@@ -81,11 +82,15 @@ class SoftQ:
             "p_implied_rollouts": of_policy.mean().item(),
         }
 
+    @torch.no_grad()
+    def follow(self, share: float) -> None:
+        """Move the target that far towards the net; all the way with 1."""
+        torch._foreach_lerp_(list(self.target.parameters()), list(self.net.parameters()), share)
+
     def _values_ahead(self, ahead: Batch, goes_on: Tensor) -> Tensor:
         """V(s') [B], 0 where the episode is over. SQIL's stays while Q moves towards it, IQ-Learn's is learned."""
-        learned = self.form == "iq_learn"
-        with torch.set_grad_enabled(learned):
-            return torch.where(goes_on, (self.net if learned else self.target).worth(ahead), 0.0)
+        with torch.set_grad_enabled(self.form == "iq_learn"):
+            return torch.where(goes_on, self.target.worth(ahead), 0.0)
 
 
 def _transitions(examples: Sequence[Example], draw: np.random.Generator) -> tuple[list[Step], list[Step | None]]:

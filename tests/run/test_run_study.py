@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from giirl.cli_reproduce_web import commands, study_table, summary
-from giirl.figures import draw_successes
+from giirl.figures import _success_at, draw_successes
 from giirl.progress import Display
 from giirl.run_folder import RunFolder
 from giirl.run_study import Variant, ask_all, measure_elsewhere, plan, pooled, record, run_all
@@ -104,6 +105,13 @@ def test_a_curve_says_when_enough_episodes_in_a_row_were_won(tmp_path: Path) -> 
     assert found["env_steps_to"]["0.99"] == {"click-it": 400, "press-it": None}
     assert found["curve"][8]["success"] == {"click-it": None, "press-it": None}
     assert found["curve"][-1]["success"] == {"click-it": 1.0, "press-it": 0.0}
+
+
+def test_a_curve_begins_with_its_first_point_and_goes_on_with_its_last() -> None:
+    curve = [{"env_steps": 100, "success": {"it": None}}, {"env_steps": 200, "success": {"it": 0.5}}]
+    curve += [{"env_steps": 300, "success": {"it": 1.0}}]
+    drawn = _success_at(np.array([50.0, 150.0, 200.0, 250.0, 300.0, 900.0]), curve, "it")
+    np.testing.assert_allclose(drawn, [np.nan, np.nan, 0.5, 0.75, 1.0, 1.0])
 
 
 def test_curves_are_drawn(tmp_path: Path) -> None:

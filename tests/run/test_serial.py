@@ -82,7 +82,9 @@ DEMANDING = (
 )
 
 
-@pytest.mark.parametrize("changes", [DEMANDING, ("algorithm=cloning",)], ids=["giirl", "cloning"])
+@pytest.mark.parametrize(
+    "changes", [DEMANDING, ("algorithm=cloning",), ("algorithm=sqil",)], ids=["giirl", "cloning", "sqil"]
+)
 def test_a_run_stopped_by_a_signal_and_resumed_equals_one_straight_through(
     changes: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
