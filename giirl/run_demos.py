@@ -18,10 +18,14 @@ from giirl.run_browser import open_browser
 from giirl.spec import Episode, Purpose
 from giirl.wire import read_episodes
 
+WITHOUT_DEMONSTRATIONS = ("frozen", "true_reward")  # whose reward is there already
+
 
 def gather(config: Config, metrics: Metrics, display: Display) -> list[Episode]:
     """The demonstrations that a config asks for: successful ones, at most `demos.per_task` of each task, none of a
-    goal that is held out; a share of them may then be spoiled."""
+    goal that is held out; a share of them may then be spoiled. None at all where nothing would be learned from them."""
+    if config.algorithm in WITHOUT_DEMONSTRATIONS and not config.policy.cloning_start:
+        return []
     kept = chosen(*_offered(config, metrics, display), config)
     return spoil(kept, config, metrics, display) if config.demos.spoiled else kept
 

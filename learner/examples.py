@@ -53,8 +53,6 @@ class ExpertSampler:
     """D_E: expert trajectories with their goals, drawn evenly by task; and the same steps under wrong goals."""
 
     def __init__(self, demonstrations: Sequence[Trajectory], vectors: Vectors, draw: np.random.Generator) -> None:
-        if not demonstrations:
-            raise ValueError("there are no demonstrations to learn from")
         self._vectors, self._draw = vectors, draw
         self._of_task: dict[str, list[Example]] = {}
         for trajectory in demonstrations:
@@ -70,7 +68,9 @@ class ExpertSampler:
                 right |= {_signature(example.trajectory, t) for t in range(len(example.trajectory))}
 
     def sample(self, trajectories: int) -> list[Example]:
-        """tau_E, g_E: every task equally likely, then every demonstration of it."""
+        """tau_E, g_E: every task equally likely, then every demonstration of it. ValueError when there is none."""
+        if not self._tasks:
+            raise ValueError("there are no demonstrations to learn from")
         drawn = []
         for _ in range(trajectories):
             examples = self._of_task[self._tasks[self._draw.integers(len(self._tasks))]]

@@ -97,7 +97,7 @@ def test_the_seed_decides_every_draw() -> None:
 
 def test_no_demonstrations_are_an_error_in_words() -> None:
     with pytest.raises(ValueError, match="no demonstrations to learn from"):
-        sampler([])
+        sampler([]).sample(1)
 
 
 def test_the_replay_is_a_uniform_sample_of_everything_it_was_given() -> None:

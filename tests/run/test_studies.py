@@ -106,7 +106,8 @@ def test_the_page_s_own_reward_is_told_where_that_is_the_algorithm_and_nowhere_e
         return taken
 
     monkeypatch.setattr(SerialRuntime, "take", watch)
-    run(tmp_path / "told", "algorithm=true_reward")
+    result = run(tmp_path / "told", "algorithm=true_reward", "demos.source=file", "demos.path=none")  # nor asked for
+    assert not any(result["demonstrations"].values())
     for episode, trajectory in zip(played, seen, strict=True):
         assert trajectory.rewards[-1] == np.float32(episode.outcome.raw_reward)
         assert not trajectory.rewards[:-1].any()
