@@ -22,7 +22,7 @@ LOG = logging.getLogger(__name__)
 START_S = 120.0  # to place and start a process
 CRASHES = 5
 CRASH_S = 30.0  # a process that runs for so long, and was heard, did not crash at its start
-PAUSE_S = 0.2  # before a process that ended begins again; doubles with every crash
+PAUSE_S = 0.05  # before a process that ended begins again; four times as long with every crash
 PAUSE_MAX_S = 5.0
 
 
@@ -162,7 +162,7 @@ class Member:
 
 def pause(crashes: int) -> float:
     """How long to wait after so many crashes in a row; never the same, so that not all come back at once."""
-    longest_s: float = min(PAUSE_S * 2 ** (crashes - 1), PAUSE_MAX_S)
+    longest_s: float = min(PAUSE_S * 4 ** (crashes - 1), PAUSE_MAX_S)
     return longest_s * random.uniform(0.5, 1.0)
 
 
