@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from actors.choosers import Choice, Chooser
-from giirl.metrics import Metrics, waiting
-from giirl.spec import (
+from actors.agents import Choice, Chooser
+from giirl_core.metrics import Metrics, waiting
+from giirl_core.types import (
     Action,
     Browser,
     Command,

@@ -6,12 +6,13 @@ import logging
 import time
 from dataclasses import dataclass, replace
 
-from actors.tally import Replaced, Tally
-from giirl import delivery, wire
-from giirl.delivery import Grant, Notice
-from giirl.spec import Episode
-from giirl.transport import Dealer, Keys
-from giirl.wire import Stamp, WireError
+from actors.episode_counter import Replaced, Tally
+from giirl_core.types import Episode
+from giirl_core.wire import delivery
+from giirl_core.wire import messages as wire
+from giirl_core.wire.delivery import Grant, Notice
+from giirl_core.wire.messages import Stamp, WireError
+from giirl_core.wire.transport import Dealer, Keys
 
 LOG = logging.getLogger(__name__)
 WAIT_S = 0.02

@@ -9,12 +9,12 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from actors.choosers import NetChooser
+from actors.agents import NetChooser
 from actors.rollouts import Schedule, play
 from actors.uplink import Refused, Uplink
-from giirl.metrics import Metrics, waiting
-from giirl.score_client import ScoreClient
-from giirl.spec import UNSCORED, Browser, Episode, Weights
+from giirl_core.metrics import Metrics, waiting
+from giirl_core.types import UNSCORED, Browser, Episode, Weights
+from giirl_core.wire.score_client import ScoreClient
 
 LOG = logging.getLogger(__name__)
 UNPLAYED = -1

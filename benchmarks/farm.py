@@ -16,7 +16,7 @@ from importlib.metadata import version
 from typing import Any
 
 from benchmarks.sides import FIRST_SEED, FarmSide, PackageSide, Played, pss_mb
-from giirl.progress import Display, Job
+from giirl_core.progress import Display, Job
 
 TASKS = ("click-test", "click-button", "enter-text", "click-checkboxes-large", "email-inbox", "social-media-all")
 TABS = 16  # what a step costs besides its pages, all tabs share

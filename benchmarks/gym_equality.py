@@ -26,10 +26,10 @@ import numpy as np
 from miniwob.environment import MiniWoBEnvironment
 from miniwob.fields import get_field_extractor
 
-from browser_farm import miniwob
-from browser_farm.env import MiniWoB
-from browser_farm.package import Package
-from browser_farm.place import Place
+from browser_farm import tasks as miniwob
+from browser_farm.gym.adapter import Package
+from browser_farm.gym.env import MiniWoB
+from browser_farm.gym.slot import Place
 
 ELEMENT_ACTIONS = ("NONE", "CLICK_ELEMENT", "FOCUS_ELEMENT_AND_TYPE_TEXT", "FOCUS_ELEMENT_AND_TYPE_FIELD", "TYPE_TEXT")
 HAND_ACTIONS = ("CLICK_COORDS", "DBLCLICK_COORDS", "MOVE_COORDS", "SCROLL_DOWN_COORDS", "PRESS_KEY")

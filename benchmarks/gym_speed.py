@@ -22,9 +22,9 @@ import numpy as np
 import psutil
 
 from benchmarks.gym_equality import Reference
-from browser_farm import reaper
-from browser_farm.env import MiniWoB
-from browser_farm.vector_env import MiniWoBVector
+from browser_farm.chrome import reaper
+from browser_farm.gym.env import MiniWoB
+from browser_farm.gym.vector_env import MiniWoBVector
 
 TASK = "click-checkboxes-large"
 PLACES = 8

@@ -23,10 +23,10 @@ from typing import Any
 
 import psutil
 
-from actors.tally import tallied
-from giirl.files import whole_file
-from giirl.progress import Display, Job
-from giirl.supervision import CRASHES
+from actors.episode_counter import tallied
+from giirl_core.files import whole_file
+from giirl_core.processes.supervision import CRASHES
+from giirl_core.progress import Display, Job
 from learner.checkpoint import latest_checkpoint
 from tests.end_to_end.cluster import ray_cluster
 from tests.end_to_end.commands import Command, find, run_folder, scrape, step, total

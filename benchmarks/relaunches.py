@@ -21,11 +21,11 @@ from typing import Any
 
 import psutil
 
-from browser_farm import reaper
+from browser_farm.chrome import reaper
 from browser_farm.farm import ChromeFarm
-from giirl.files import whole_file
-from giirl.progress import Display
-from giirl.spec import Command, EpisodeSpec, Verb
+from giirl_core.files import whole_file
+from giirl_core.progress import Display
+from giirl_core.types import Command, EpisodeSpec, Verb
 
 SETTLED_S = 20.0  # for what has been killed to be gone
 

@@ -13,10 +13,10 @@ import gymnasium
 import numpy as np
 import psutil
 
-from browser_farm import chrome, reaper
+from browser_farm.chrome import launcher, reaper
 from browser_farm.experts import expert
 from browser_farm.farm import ChromeFarm
-from giirl.spec import Action, Command, EpisodeSpec, Goal, Observation, Page, Verb
+from giirl_core.types import Action, Command, EpisodeSpec, Goal, Observation, Page, Verb
 
 FIRST_SEED = 1 << 40  # far from the pages of everybody else
 CLICK_ELEMENT, FOCUS_AND_TYPE = 8, 12  # of the package's preset "all_supported"
@@ -122,8 +122,8 @@ class PackageSide:
     def __init__(self, task: str, *, screenshots: bool) -> None:
         import miniwob
 
-        os.environ["MINIWOB_CHROME_BINARY"] = str(chrome.find("GIIRL_CHROME", chrome.CHROMES, "Chrome"))
-        os.environ["MINIWOB_CHROMEDRIVER"] = str(chrome.find("GIIRL_CHROMEDRIVER", chrome.DRIVERS, "chromedriver"))
+        os.environ["MINIWOB_CHROME_BINARY"] = str(launcher.find("GIIRL_CHROME", launcher.CHROMES, "Chrome"))
+        os.environ["MINIWOB_CHROMEDRIVER"] = str(launcher.find("GIIRL_CHROMEDRIVER", launcher.DRIVERS, "chromedriver"))
         gymnasium.register_envs(miniwob)
         self._env = gymnasium.make(f"miniwob/{task}-v1", disable_env_checker=True)
         self._screenshots = screenshots

@@ -26,12 +26,12 @@ from typing import Any
 import psutil
 
 from benchmarks.sides import FIRST_SEED
-from browser_farm import reaper
+from browser_farm.chrome import reaper
 from browser_farm.experts import expert
 from browser_farm.farm import ChromeFarm
-from giirl.files import whole_file
-from giirl.progress import Display
-from giirl.spec import Command, EpisodeSpec, Observation
+from giirl_core.files import whole_file
+from giirl_core.progress import Display
+from giirl_core.types import Command, EpisodeSpec, Observation
 
 TASKS = (
     "click-test",

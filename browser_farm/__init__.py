@@ -8,6 +8,6 @@ from gymnasium import register
 
 register(
     id="giirl/MiniWoB-v0",
-    entry_point="browser_farm.env:MiniWoB",
-    vector_entry_point="browser_farm.vector_env:MiniWoBVector",
+    entry_point="browser_farm.gym.env:MiniWoB",
+    vector_entry_point="browser_farm.gym.vector_env:MiniWoBVector",
 )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from giirl.spec import Command, EpisodeSpec, Goal, Observation, Page, StepResult, Verb
+from giirl_core.types import Command, EpisodeSpec, Goal, Observation, Page, StepResult, Verb
 
 LABELS = ("submit", "okay", "ok", "yes", "no", "cancel", "next", "previous")
 FILLER = ("lorem", "ipsum", "dolor", "amet", "elit", "magna", "purus", "tellus", "sapien", "nibh")
@@ -82,7 +82,7 @@ TASKS: dict[str, Callable[[np.random.Generator], tuple[str, list[Row], str]]] = 
 
 
 class FakeFarm:
-    """Implements `giirl.spec.Browser` without a browser. Same task and seed, same page."""
+    """Implements `giirl_core.types.Browser` without a browser. Same task and seed, same page."""
 
     def __init__(self, *, tabs: int = 8) -> None:
         self.tabs = tabs

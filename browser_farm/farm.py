@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from browser_farm import pages
-from browser_farm import trusted as trusted_input
-from browser_farm.answers import Failure
-from browser_farm.devtools import BrowserGone
-from browser_farm.miniwob import needs_fresh_document, page_url
-from browser_farm.tabs import Tabs
-from giirl.spec import Command, EpisodeSpec, Goal, Observation, StepResult, Verb
+from browser_farm.chrome import trusted_input
+from browser_farm.chrome.answers import Failure
+from browser_farm.chrome.devtools import BrowserGone
+from browser_farm.chrome.tabs import Tabs
+from browser_farm.tasks import needs_fresh_document, page_url
+from giirl_core.types import Command, EpisodeSpec, Goal, Observation, StepResult, Verb
 
 OPEN_ATTEMPTS = 4  # as the tab is, in a mended tab, in another tab, in another Chrome
 
@@ -39,7 +39,7 @@ class Shown:
 
 
 class ChromeFarm:
-    """A `giirl.spec.Browser` of `tabs` tabs in one Chrome of its own.
+    """A `giirl_core.types.Browser` of `tabs` tabs in one Chrome of its own.
 
     Whatever happens to a page or to Chrome costs the episodes concerned (`StepResult.lost`) and is told to
     `on_restart`: "page_hung", "tab_crashed", "navigated" or "page_error" once for each tab, "browser_died"

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from browser_farm.miniwob import needs_fresh_document
-from giirl import keys
-from giirl.spec import Command, EpisodeSpec, Goal, Page
+from browser_farm.tasks import needs_fresh_document
+from giirl_core import keys
+from giirl_core.types import Command, EpisodeSpec, Goal, Page
 
 FOCUSED = 1
 TAMPERED = 2
@@ -27,7 +27,7 @@ SCRIPTS = ("clock", "focus", "keyboard", "gestures", "reading", "elements", "fra
 
 def source(name: str) -> str:
     """One of the scripts of this package."""
-    return Path(__file__).with_name(f"{name}.js").read_text(encoding="utf-8")
+    return (Path(__file__).parent / "js" / f"{name}.js").read_text(encoding="utf-8")
 
 
 def start_call(episode: EpisodeSpec) -> Json:

@@ -1,5 +1,5 @@
 """`python -m giirl`: the command without its script."""
 
-from giirl.cli import main
+from giirl.cli.main import main
 
 main()

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-from browser_farm.chrome import CHROMES, DRIVERS
+from browser_farm.chrome.launcher import CHROMES, DRIVERS
 
 GIB = 1 << 30
 WANTED_PYTHON = (3, 11)

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from giirl.gridcraft_layouts import COLOURS, Layout
+from gridcraft.layouts import COLOURS, Layout
 
 INKS = ("#404040", "#ffffff", "#d7301f", "#31a354", "#3182bd", "#fec44f")  # wall, white, then COLOURS
 DOTS_PER_INCH = 120

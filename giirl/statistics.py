@@ -6,6 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 Z_95 = 1.959963984540054
 WINDOW = 100  # training episodes in a row, of which the success is told
 
@@ -42,3 +45,19 @@ def lowest_window(successes: Sequence[bool], window: int) -> float | None:
         total += successes[i] - successes[i - width]
         lowest = min(lowest, total)
     return lowest / width
+
+
+Array = NDArray[np.float64]
+
+
+def goal_sensitivity(right: Array, wrong: Array, weight: Array | None = None) -> float:
+    """How often r(s,a|g) [...] of expert pairs is above their own r(s,a|g') [..., G], with goals g' other than theirs.
+
+    An AUC within each pair: 1/2 for a reward that does not read the instruction; equal counts half. Different (s, a)
+    are not compared, so a sum b(s,a) + c(g) cannot pass for reading. `weight` [...] says how often the expert does
+    each pair, where that is not alike.
+    """
+    own = right[..., None] if wrong.ndim > right.ndim else right
+    above = (own > wrong) + 0.5 * (own == wrong)
+    mean = above.mean(axis=-1) if wrong.ndim > right.ndim else above
+    return float(np.average(mean, weights=weight))

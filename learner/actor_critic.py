@@ -8,12 +8,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from giirl.config import PolicyConfig
-from giirl.features import ActionBatch, Batch
-from giirl.metrics import Metrics, timed_update
-from giirl.models import Policy
-from giirl.spec import Verb
-from learner.examples import Example, collate_steps, pad, steps_of
+from giirl_core.config import PolicyConfig
+from giirl_core.metrics import Metrics, timed_update
+from giirl_core.nets.features import ActionBatch, Batch
+from giirl_core.nets.models import Policy
+from giirl_core.types import Verb
+from learner.data import Example, collate_steps, pad, steps_of
 from learner.losses import vtrace
 
 Ask = Callable[[Batch, ActionBatch], Tensor]  # r(s, a | g) [B, M]

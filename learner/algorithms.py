@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Protocol
 
-from giirl.config import Config
+from giirl_core.config import Config
 from learner.giirl import Observe, giirl
-from learner.parts import Ask, Cloning, Comparable, Net, Played, Read, Rewards, Source
+from learner.protocols import Ask, Cloning, Comparable, Net, Played, Read, Rewards, Source
 
 
 def clone(

@@ -9,7 +9,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from giirl.files import sync_folder, whole_file
+from giirl_core.files import sync_folder, whole_file
 
 MANIFEST = "manifest.json"
 LATEST = "latest"

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import torch
 
-from giirl.config import CloningConfig
-from giirl.features import rename
-from giirl.metrics import Metrics, timed_update
-from giirl.models import Policy
+from giirl_core.config import CloningConfig
+from giirl_core.metrics import Metrics, timed_update
+from giirl_core.nets.features import rename
+from giirl_core.nets.models import Policy
 from learner.actor_critic import descend
-from learner.examples import Example, collate_steps, steps_of
+from learner.data import Example, collate_steps, steps_of
 
 
 class Cloner:

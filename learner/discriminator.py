@@ -8,13 +8,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from giirl.config import DiscriminatorConfig
-from giirl.features import ActionBatch, Batch, rename
-from giirl.metrics import Metrics, timed_update
-from giirl.models import Policy
-from giirl.reward import RewardModel, episode_rewards, reward_of
-from giirl.spec import UNSCORED
-from learner.examples import Example, ExpertSampler, Replay, Step, collate_steps, last_step, pick_step, steps_of
+from giirl_core.config import DiscriminatorConfig
+from giirl_core.metrics import Metrics, timed_update
+from giirl_core.nets.features import ActionBatch, Batch, rename
+from giirl_core.nets.models import Policy
+from giirl_core.nets.reward import RewardModel, episode_rewards, reward_of
+from giirl_core.types import UNSCORED
+from learner.data import Example, ExpertSampler, Replay, Step, collate_steps, last_step, pick_step, steps_of
 from learner.losses import gradient_penalty, logistic_loss, trimmed
 
 EXPERT = "expert"

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from giirl.config import Config
-from learner.parts import Ask, Learning, Net, Played, Read, Rewards, Source, Stats
+from giirl_core.config import Config
+from learner.protocols import Ask, Learning, Net, Played, Read, Rewards, Source, Stats
 
 Observe = Callable[[int, Stats], None]
 

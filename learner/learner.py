@@ -12,18 +12,18 @@ import torch
 from safetensors import SafetensorError
 from torch import Tensor, nn
 
-from giirl.config import Config
-from giirl.language import load_vectors
-from giirl.metrics import Metrics
-from giirl.parameters import hash_nets, load_net, load_optimiser, seal_net, seal_optimiser
-from giirl.reward import build_policy, build_reward
-from giirl.spec import Episode, Outcome, Trajectory, Weights
-from giirl.wire import read_episodes, write_episodes
+from giirl_core.config import Config
+from giirl_core.metrics import Metrics
+from giirl_core.nets.language import load_vectors
+from giirl_core.nets.parameters import hash_nets, load_net, load_optimiser, seal_net, seal_optimiser
+from giirl_core.nets.reward import build_policy, build_reward
+from giirl_core.types import Episode, Outcome, Trajectory, Weights
+from giirl_core.wire.messages import read_episodes, write_episodes
 from learner.actor_critic import ActorCritic
-from learner.annealing import anneal, anneal_reward, fallen
 from learner.cloning import Cloner
+from learner.data import Example, ExpertSampler, Replay, study
 from learner.discriminator import Discriminator
-from learner.examples import Example, ExpertSampler, Replay, study
+from learner.schedules import anneal, anneal_reward, fallen
 from learner.soft_q import SoftQ
 
 UNKNOWN_OUTCOME = Outcome(raw_reward=0.0, ended=False)  # replay is for training: it never knew

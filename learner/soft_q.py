@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from giirl.config import SoftQConfig
-from giirl.features import Batch, collate, rename
-from giirl.metrics import Metrics, timed_update
-from giirl.models import Policy
+from giirl_core.config import SoftQConfig
+from giirl_core.metrics import Metrics, timed_update
+from giirl_core.nets.features import Batch, collate, rename
+from giirl_core.nets.models import Policy
 from learner.actor_critic import descend
-from learner.examples import Example, Replay, Step, collate_steps
+from learner.data import Example, Replay, Step, collate_steps
 from learner.losses import iq_loss, sqil_loss
 
 

@@ -13,13 +13,13 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from giirl import wire
-from giirl.columns import Columns
-from giirl.metrics import Metrics, waiting
-from giirl.scoring import NO_WEIGHTS, OVERLOADED, ScoreReply, build_request, encode_reply, read_request
-from giirl.spec import UNSCORED, Trajectory, Weights
-from giirl.transport import Keys, Router
-from giirl.wire import Header, WireError
+from giirl_core.metrics import Metrics, waiting
+from giirl_core.types import UNSCORED, Trajectory, Weights
+from giirl_core.wire import messages as wire
+from giirl_core.wire.columns import Columns
+from giirl_core.wire.messages import Header, WireError
+from giirl_core.wire.scoring import NO_WEIGHTS, OVERLOADED, ScoreReply, build_request, encode_reply, read_request
+from giirl_core.wire.transport import Keys, Router
 
 Scorer: TypeAlias = Callable[[Sequence[Trajectory]], list[NDArray[np.float32]]]
 LOG = logging.getLogger(__name__)

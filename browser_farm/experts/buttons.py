@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from browser_farm.experts.sight import ORDINAL, Sight, plays
-from giirl.spec import Action
+from browser_farm.experts.page_view import ORDINAL, Sight, plays
+from giirl_core.types import Action
 
 GROWN_PX = 2  # the labels of a closed pie lie on one point
 

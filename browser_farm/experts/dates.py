@@ -6,8 +6,8 @@ import calendar
 import re
 
 from browser_farm.experts.forms import take_suggestion
-from browser_farm.experts.sight import Sight, plays
-from giirl.spec import Action
+from browser_farm.experts.page_view import Sight, plays
+from giirl_core.types import Action
 
 MONTHS = list(calendar.month_name)
 

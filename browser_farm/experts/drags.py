@@ -7,9 +7,9 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
+from browser_farm.experts.page_view import ORDINAL, Sight, plays
 from browser_farm.experts.shapes import kind, shapes
-from browser_farm.experts.sight import ORDINAL, Sight, plays
-from giirl.spec import Action
+from giirl_core.types import Action
 
 STEPS = {"left": (-1.0, 0.0), "right": (1.0, 0.0), "up": (0.0, -1.0), "down": (0.0, 1.0)}
 PAGE = 10  # further away than this a page is no more than twice too much: it is a fifth of 5, 10, 50 or 100

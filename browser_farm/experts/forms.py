@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-from browser_farm.experts.sight import ORDINAL, Sight, plays
-from giirl.spec import Action
+from browser_farm.experts.page_view import ORDINAL, Sight, plays
+from giirl_core.types import Action
 
 COLOURS = {
     "aqua": "00ffff",

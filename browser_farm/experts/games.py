@@ -5,8 +5,8 @@ from __future__ import annotations
 import functools
 import re
 
-from browser_farm.experts.sight import Sight, plays
-from giirl.spec import Action
+from browser_farm.experts.page_view import Sight, plays
+from giirl_core.types import Action
 
 LINES = ((0, 1, 2), (3, 4, 5), (6, 7, 8), (0, 3, 6), (1, 4, 7), (2, 5, 8), (0, 4, 8), (2, 4, 6))
 CARELESS = 0.55  # how often the other player moves by chance

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 
-from browser_farm.experts.sight import Sight, plays
-from giirl.spec import Action
+from browser_farm.experts.page_view import Sight, plays
+from giirl_core.types import Action
 
 
 def _posts(see: Sight, user: str) -> list[int]:

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from actors.tally import ENTRY, Replaced, Tally, tallied
+from actors.episode_counter import ENTRY, Replaced, Tally, tallied
 from actors.uplink import Refused, Uplink, UplinkLimits
-from giirl.spec import Action, Episode, Goal, Outcome, Page, Trajectory, Verb
-from giirl.transport import Keys
+from giirl_core.types import Action, Episode, Goal, Outcome, Page, Trajectory, Verb
+from giirl_core.wire.transport import Keys
 
 INCARNATIONS = 1 << 12
 SEQUENCES = 1 << 24

@@ -12,7 +12,7 @@ import sys
 import time
 from pathlib import Path
 
-from giirl.transport import Keys
+from giirl_core.wire.transport import Keys
 from tests.chaos.crowd import crowd, read_version
 from tests.chaos.namespaces import HOSTS, Cable, cable
 from tests.chaos.storm import settle_accounts, start

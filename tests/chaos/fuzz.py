@@ -21,17 +21,18 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from browser_farm.recordings import read_recording
-from giirl import delivery, scoring, wire
-from giirl.config_file import load_config
-from giirl.delivery import Grant, Notice
-from giirl.metrics import Metrics
-from giirl.wire import ALIGN, GAPS, LENGTH, PREFIX, WireError
-from learner.admission import Admission, IngestLimits
-from learner.held import BOOKS, QUEUE, Held, Mark
+from browser_farm.human.recordings import read_recording
+from giirl_core.config_file import load_config
+from giirl_core.metrics import Metrics
+from giirl_core.wire import delivery, scoring
+from giirl_core.wire import messages as wire
+from giirl_core.wire.delivery import Grant, Notice
+from giirl_core.wire.messages import ALIGN, GAPS, LENGTH, PREFIX, WireError
 from learner.learner import Learner
-from tests.run.small import config
-from tests.wire.examples import STAMP, episode
+from learner.stream.admission import Admission, IngestLimits
+from learner.stream.snapshot import BOOKS, QUEUE, Held, Mark
+from tests.giirl.small import config
+from tests.giirl_core.wire_examples import STAMP, episode
 
 WORDS = [b"\x00", b"\xff", b"\x7f\xff\xff\xff", b"\xff\xff\xff\xff", b"\x80", b"\xc0", b"\xdd\xff\xff\xff\xff", b"{}"]
 RECORDING = {

@@ -17,12 +17,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import giirl.run as giirl_run
-from giirl.run_workers import WorkersRuntime
+import giirl.run.train as giirl_run
+from giirl.run.workers import WorkersRuntime
 from learner.checkpoint import latest_checkpoint
 from tests.chaos.storm import start
 from tests.chaos.threads import ThreadPlatform
-from tests.run.small import run
+from tests.giirl.small import run
 
 SETTINGS = {
     "serial": ("runtime=serial",),

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import zmq
 
-from giirl import wire
-from giirl.wire import PREFIX
+from giirl_core.wire import messages as wire
+from giirl_core.wire.messages import PREFIX
 
 SHARE = 0.02  # of all messages that something happens to
 DELAY_S = 0.2

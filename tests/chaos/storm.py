@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from learner.admission import DROPPED, TAKEN
 from learner.checkpoint import latest_checkpoint
-from learner.held import Held
+from learner.stream.admission import DROPPED, TAKEN
+from learner.stream.snapshot import Held
 from tests.chaos.crowd import INCARNATIONS, SEQUENCES, crowd, finished, read_version
 from tests.chaos.relay import relay
 from tests.chaos.trainer import SLOW, TRAINED, WRITING, train

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from actors.tally import tallied
-from giirl.supervision import CRASHES
+from actors.episode_counter import tallied
+from giirl_core.processes.supervision import CRASHES
 from learner.checkpoint import latest_checkpoint
-from learner.held import Held
+from learner.stream.snapshot import Held
 from tests.end_to_end.cluster import ray_cluster
 from tests.end_to_end.commands import Command, find, run_folder, step
 

@@ -1,6 +1,6 @@
 """A platform of threads: what Ray starts as processes runs in this one, so that one SIGKILL ends all of it at once.
 
-Sockets, messages and everything in `giirl.run_actor` and `giirl.run_reward_service` are the real ones; only the
+Sockets, messages and everything in `actors.process` and `reward_service.process` are the real ones; only the
 processes are simulated.
 """
 
@@ -10,11 +10,7 @@ from concurrent.futures import Future, TimeoutError
 from threading import Thread
 from typing import Any
 
-from giirl.run_actor import ActorProcess
-from giirl.run_reward_service import RewardProcess
-from giirl.supervision import Gone
-
-KINDS = {"actor": ActorProcess, "reward-service": RewardProcess}
+from giirl_core.processes.supervision import Gone
 
 
 class ThreadCall:
@@ -43,9 +39,9 @@ class ThreadCall:
 class ThreadProcess:
     found = False
 
-    def __init__(self, kind: str, values: tuple[Any, ...]) -> None:
+    def __init__(self, kind: type[Any], values: tuple[Any, ...]) -> None:
         self._kind, self._values = kind, values
-        self._object: Any = KINDS[kind](*values)
+        self._object: Any = kind(*values)
 
     def call(self, method: str, *values: Any) -> ThreadCall:
         return ThreadCall(getattr(self._object, method), values)
@@ -53,14 +49,14 @@ class ThreadProcess:
     def kill(self, *, restart: bool) -> None:
         """A thread cannot be killed: it is left alone, and another takes its place."""
         if restart:
-            self._object = KINDS[self._kind](*self._values)
+            self._object = self._kind(*self._values)
 
 
 class ThreadPlatform:
     host = "127.0.0.1"
     alone = True
 
-    def start(self, kind: str, name: str, cpus: int, *values: Any) -> ThreadProcess:
+    def start(self, kind: type[Any], name: str, *values: Any, cpus: int, threads: int = 0) -> ThreadProcess:
         return ThreadProcess(kind, values)
 
     def share(self, value: Any) -> Any:

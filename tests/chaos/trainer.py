@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from giirl.transport import Keys
-from learner.admission import IngestLimits
+from giirl_core.wire.transport import Keys
 from learner.checkpoint import latest_checkpoint, save_checkpoint
-from learner.held import Held
-from learner.ingest import Ingest
+from learner.stream.admission import IngestLimits
+from learner.stream.ingest import Ingest
+from learner.stream.snapshot import Held
 from tests.chaos.crowd import VERSION
 
 BATCH = 32

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from giirl.wire import read_episodes
+from giirl_core.wire.messages import read_episodes
 from tests.end_to_end.commands import giirl
 
 pytestmark = pytest.mark.chrome

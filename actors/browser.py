@@ -1,0 +1,32 @@
+"""The browser that a config names."""
+
+from __future__ import annotations
+
+from browser_farm import fake
+from browser_farm import tasks as miniwob
+from browser_farm.fake import FakeFarm
+from browser_farm.farm import ChromeFarm
+from giirl_core.config import Config
+from giirl_core.metrics import Metrics
+from giirl_core.types import Browser
+
+
+def open_browser(config: Config, metrics: Metrics) -> Browser:
+    """Started and ready, its restarts counted by cause."""
+    if config.browser == "fake":
+        return FakeFarm(tabs=config.actors.tabs)
+    return ChromeFarm(
+        tabs=config.actors.tabs,
+        call_timeout_s=config.actors.call_timeout_s,
+        launch_timeout_s=config.actors.launch_timeout_s,
+        on_restart=lambda cause: metrics.browser_restarts.labels(cause).inc(),
+    )
+
+
+def check_tasks(config: Config) -> None:
+    """Every task of the config exists; ValueError naming the nearest otherwise."""
+    for task in config.tasks:
+        if config.browser == "fake":
+            fake.check_task(task)
+        else:
+            miniwob.page_url(task)

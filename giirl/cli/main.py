@@ -1,0 +1,215 @@
+"""The `giirl` command: reads what the user typed, says what went wrong in one line, and leaves the work to others."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+from types import FrameType
+from typing import Any, Never
+
+import click
+from rich.table import Column, Table
+
+from giirl.cli.actors import actors
+from giirl.cli.bench import bench
+from giirl.cli.demos import demos, writable
+from giirl.cli.report import report
+from giirl.cli.reproduce import reproduce
+from giirl.cli.reproduce_web import commands
+from giirl.cli.reward import reward
+from giirl.doctor import checks
+from giirl.run.folder import RunFolder
+from giirl_core.config import Config
+from giirl_core.config_file import changed, dump_config, load_config
+from giirl_core.files import held
+from giirl_core.progress import Display
+
+RUN = click.argument("run", type=click.Path(path_type=Path))
+CONFIG = click.argument("config", required=False)
+OVERRIDES = click.argument("overrides", nargs=-1)
+RESUMABLE = ("iterations", "checkpoint_every", "keep_checkpoints", "evaluate.", "metrics.")
+JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write the result here.")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="giirl")
+def giirl() -> None:
+    """Learn what an English instruction means as a reward, and train agents with it on web pages."""
+
+
+@giirl.command()
+@click.option("--demos", type=click.Path(path_type=Path), help="Also look at this folder of recordings.")
+def doctor(demos: Path | None) -> None:
+    """What is installed, what is missing, how to get it."""
+    table = Table("", "what", Column("found", overflow="fold"), "how to mend it")
+    found = checks(demos)
+    for check in found:
+        mark = "ok" if check.ok else ("MISSING" if check.needed else "low")
+        table.add_row(mark, check.name, check.found, "" if check.ok else check.mend)
+    Display().table(table)
+    missing = [check.name for check in found if check.needed and not check.ok]
+    if missing:
+        raise ValueError(f"missing: {', '.join(missing)}; the table says how to get them")
+
+
+@giirl.command()
+@CONFIG
+@OVERRIDES
+@click.option("--runtime", type=click.Choice(["serial", "local", "ray"]), help="Where actors run; local by default.")
+@click.option("--resume", type=click.Path(path_type=Path), help="Go on with this run from its last checkpoint.")
+@JSON
+@click.pass_context
+def train(
+    context: click.Context,
+    config: str | None,
+    overrides: tuple[str, ...],
+    runtime: str | None,
+    resume: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Train, then evaluate: giirl train [CONFIG] [key=value ...].
+
+    CONFIG is a TOML file; without one the defaults hold. Any setting can be given as key=value, for example
+    seed=1 tasks='["click-button"]' policy.entropy=0.2 run=runs/mine.
+    """
+    from actors.browser import check_tasks
+    from giirl.run.evaluate import result_table
+    from giirl.run.grid import grid_table, train_grid
+    from giirl.run.train import train
+    from giirl.signals import Stopped
+    from learner.checkpoint import latest_checkpoint
+
+    display = Display()
+    writable(json_file)
+    path, changes = _split(config, overrides, runtime)
+    if resume is not None:
+        folder, settings = RunFolder.open(resume)
+        context.with_resource(held(folder.path))
+        settings = _prolonged(folder, settings, path, changes)
+        checkpoint = latest_checkpoint(folder.checkpoints)
+        display.say(f"resuming {folder.path} from {checkpoint.name}")
+    else:
+        settings, checkpoint = load_config(path, changes), None
+        if settings.world == "miniwob":
+            check_tasks(settings)
+        folder = RunFolder.create(settings, path.stem if path else "giirl")
+        context.with_resource(held(folder.path))
+        display.say(f"run folder {folder.path}, every setting in its {folder.config_file.name}")
+        display.say(f"not the defaults: {' '.join(changed(settings)) or 'none'}")
+    grid = settings.world == "gridcraft"
+    try:
+        result = (train_grid if grid else train)(settings, folder, checkpoint, display)
+    except Stopped:
+        display.say(f"stopped and saved; to go on: giirl train --resume {folder.path}")
+        sys.exit(130)
+    except BaseException:
+        if resume is None:
+            folder.discard_unless_begun()
+        raise
+    for target in (folder.result, *_some(json_file)):
+        folder.write_json(target, result)
+    display.table(grid_table(result) if grid else result_table(result))
+    display.say(f"{result['env_steps']} environment steps, {result['seconds']:.0f} s; results in {folder.path}")
+
+
+@giirl.command()
+@RUN
+@OVERRIDES
+@JSON
+def evaluate(run: Path, overrides: tuple[str, ...], json_file: Path | None) -> None:
+    """Greedy success of a run's policy on fresh pages, with the random floor; or what it is worth in the grid."""
+    import time
+
+    from actors.browser import check_tasks
+    from giirl.run.evaluate import evaluate, result_table
+    from giirl.run.grid import evaluate_grid, grid_table, open_run
+    from giirl_core.metrics import Metrics
+    from learner.checkpoint import latest_checkpoint
+
+    writable(json_file)
+    folder, _ = RunFolder.open(run)
+    config = load_config(folder.config_file, overrides)
+    checkpoint = latest_checkpoint(folder.checkpoints)
+    since_s, points = time.monotonic(), folder.points()
+    result: dict[str, Any]
+    if config.world == "gridcraft":
+        result = evaluate_grid(config, open_run(config, checkpoint))
+    else:
+        check_tasks(config)
+        result = {
+            "tasks": evaluate(config, folder.weights(checkpoint, "policy"), Metrics(), Display()),
+            "env_steps": points[-1]["env_steps"] if points else 0,
+            "algorithm": config.algorithm,
+            "seed": config.seed,
+        }
+    result["seconds"] = round(time.monotonic() - since_s, 1)
+    for path in _some(json_file):
+        folder.write_json(path, result)
+    Display().table(grid_table(result) if config.world == "gridcraft" else result_table(result))
+
+
+giirl.add_command(actors)
+giirl.add_command(bench)
+giirl.add_command(demos)
+giirl.add_command(reproduce)
+giirl.add_command(report)
+giirl.add_command(reward)
+for study in commands():
+    reproduce.add_command(study)
+
+
+def _prolonged(folder: RunFolder, config: Config, path: Path | None, changes: list[str]) -> Config:
+    """The run's own config; only how long it goes on and how it is measured may change, and is then saved."""
+    free = [key for key in (change.partition("=")[0] for change in changes) if not key.startswith(RESUMABLE)]
+    if path is not None or free:
+        what = f"CONFIG {path}" if path is not None else free[0]
+        raise ValueError(f"--resume goes on with the run's own config: {what} is fixed, wanted only {RESUMABLE}")
+    if changes:
+        config = load_config(folder.config_file, changes)
+        folder.write(folder.config_file, dump_config(config))
+    return config
+
+
+def _split(config: str | None, overrides: tuple[str, ...], runtime: str | None) -> tuple[Path | None, list[str]]:
+    """CONFIG may be left out: then the first word is an override already."""
+    changes = list(overrides)
+    path = None
+    if config is not None and "=" in config:
+        changes.insert(0, config)
+    elif config is not None:
+        path = Path(config)
+    if runtime is not None:
+        changes.append(f"runtime={runtime}")
+    return path, changes
+
+
+def _some(path: Path | None) -> list[Path]:
+    return [] if path is None else [path]
+
+
+def main() -> Never:
+    """Run the command; whatever a person can mend is one line and a status that is not 0."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # the nets are small: more threads only wait for each other
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, interrupt)
+    try:
+        giirl(standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except (KeyboardInterrupt, click.Abort):
+        _say("interrupted")
+        sys.exit(130)
+    except (ValueError, RuntimeError, OSError) as error:
+        _say(" ".join(str(error).split()) or type(error).__name__)
+        sys.exit(1)
+    sys.exit(0)
+
+
+def _say(text: Any) -> None:
+    click.echo(f"giirl: {text}", err=True)

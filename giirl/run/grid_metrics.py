@@ -1,0 +1,145 @@
+"""What a policy and a reward learned in LanguageGridCraft are worth, layout by layout and goal by goal, exactly."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giirl.statistics import goal_sensitivity
+from giirl_core.config import Config
+from gridcraft.instructions import Pair, plain_sentence
+from gridcraft.layouts import Layout
+from gridcraft.planning import bounds, fraction, solve, visits
+from gridcraft.reward_metrics import (
+    avoid_rank,
+    entering_rate,
+    epic_distance,
+    matched_avoid_rank,
+    reoptimise,
+    state_mean,
+    value_correlation,
+)
+from gridcraft.world import World, build_world, true_reward
+from learner.grid.learner import GridLearner
+from learner.grid.nets import Sight, policy_table, reward_table
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measures:
+    """One goal in one layout; returns as fractions of optimal above chance."""
+
+    pair: Pair
+    policy: float  # the policy that was learned, as it explores
+    cloning: float  # chance's, where nothing was cloned
+    reoptimised: float  # value iteration on the frozen reward
+    spearman: float  # of the state-mean reward with the optimal value
+    pearson: float
+    epic: float
+    avoid_rank: float  # the chance that an avoided cell scores below a neutral one
+    matched_avoid_rank: float  # the same among cells equally far from the goal
+    sensitivity: (
+        float  # the share of the expert's steps that earn more than under the sentence with its colours swapped
+    )
+    entered: float  # share of episodes in which the re-optimised agent enters the avoided colour
+    expert_entered: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tables:
+    """What was learned, for one layout and one sentence."""
+
+    policy: NDArray[np.float64]  # [S, A]
+    cloning: NDArray[np.float64]  # [S, A]
+    reward: NDArray[np.float64]  # [S, A]
+
+
+def learned_tables(config: Config, learner: GridLearner, world: World, pair: Pair) -> Tables:
+    """The nets asked about every state and action under the plain sentence of a pair, seen in training or not."""
+    sight = Sight(world, [plain_sentence(pair)], learner.bag, config.grid)
+    form, clip = config.discriminator.reward, config.discriminator.clip
+    return Tables(
+        policy=policy_table(learner.acting, sight, 0),
+        cloning=policy_table(learner.cloner.net, sight, 0),
+        reward=reward_table(learner.discriminator.net, sight, 0, form, clip),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Truth:
+    """What is so in a world under a pair, whatever was learned."""
+
+    reward: NDArray[np.float64]  # [S, A]
+    value: NDArray[np.float64]  # [S] V*
+    bounds: tuple[float, float]  # the returns of chance and of the optimum
+    expert: NDArray[np.float64]  # [S, A] who gave the demonstrations
+
+
+@functools.lru_cache(maxsize=1024)
+def truth(world: World, pair: Pair, temperature: float) -> Truth:
+    """Worked out once for every world there is."""
+    reward = true_reward(world, pair)
+    return Truth(
+        reward=reward,
+        value=solve(world, reward).v,
+        bounds=bounds(world, reward),
+        expert=solve(world, reward, temperature=temperature).pi,
+    )
+
+
+@functools.lru_cache(maxsize=256)
+def world_of(layout: Layout) -> World:
+    """The layout alone as a world, the same one every time."""
+    return build_world([layout])
+
+
+def policy_fractions(config: Config, learner: GridLearner, world: World) -> list[float]:
+    """The policy's return under each pair of the training, as a fraction of optimal above chance."""
+    sight = Sight(world, [plain_sentence(pair) for pair in learner.pairs], learner.bag, config.grid)
+    known = [truth(world, pair, config.grid.expert_temperature) for pair in learner.pairs]
+    return [
+        fraction(world, policy_table(learner.acting, sight, i), true.reward, known=true.bounds)
+        for i, true in enumerate(known)
+    ]
+
+
+def measure(config: Config, learner: GridLearner, layouts: Sequence[Layout], pairs: Sequence[Pair]) -> list[Measures]:
+    """Every layout with every pair, one at a time."""
+    return [_measure(config, learner, world_of(layout), pair) for layout in layouts for pair in pairs]
+
+
+def _measure(config: Config, learner: GridLearner, world: World, pair: Pair) -> Measures:
+    true, tables = truth(world, pair, config.grid.expert_temperature), learned_tables(config, learner, world, pair)
+    swapped = learned_tables(config, learner, world, Pair(pair.avoid, pair.goal)).reward
+    agent, score = reoptimise(world, tables.reward), state_mean(tables.reward)
+    policy, cloning, reoptimised = (
+        fraction(world, pi, true.reward, known=true.bounds) for pi in (tables.policy, tables.cloning, agent)
+    )
+    correlation = value_correlation(world, tables.reward, true.value)
+    steps = visits(world, true.expert).sum(axis=0)[:, None] * true.expert
+    return Measures(
+        pair=pair,
+        policy=policy,
+        cloning=cloning,
+        reoptimised=reoptimised,
+        spearman=correlation.spearman,
+        pearson=correlation.pearson,
+        epic=epic_distance(tables.reward, true.reward),
+        avoid_rank=avoid_rank(world, score, pair),
+        matched_avoid_rank=matched_avoid_rank(world, score, pair),
+        sensitivity=goal_sensitivity(tables.reward, swapped, steps),
+        entered=entering_rate(world, agent, pair),
+        expert_entered=entering_rate(world, true.expert, pair),
+    )
+
+
+def means(measures: Sequence[Measures]) -> dict[str, float]:
+    """The mean of each measure over layouts and goals; nan only where it is nan everywhere."""
+    names = [field.name for field in fields(Measures) if field.name != "pair"]
+    table = np.array([[getattr(one, name) for name in names] for one in measures])
+    known = np.isfinite(table)
+    mean = np.where(known, table, 0.0).sum(axis=0) / np.where(known.any(axis=0), known.sum(axis=0), np.nan)
+    return {name: float(value) for name, value in zip(names, mean, strict=True)}

@@ -1,0 +1,51 @@
+"""Demonstrations by a person in a visible Chrome window."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+
+from browser_farm.chrome.devtools import BrowserGone
+from browser_farm.human.recorder import Interrupted, Recorder
+from browser_farm.tasks import page_url
+from giirl_core.progress import Display
+from giirl_core.types import Episode, EpisodeSpec, Purpose, page_seed
+
+
+def record(tasks: Sequence[str], per_task: int, seed: int, display: Display) -> list[Episode]:
+    """Show page after page until all are done, or until Ctrl-C or the window's end; what was finished is returned."""
+    for task in tasks:
+        page_url(task)
+        if task.startswith("flight."):
+            raise ValueError(f"{task} cannot be recorded: its site lies in a frame, wanted a task of one page")
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ValueError("there is no screen: DISPLAY is not set, wanted a desktop, or one that xvfb-run gives")
+    pages = [
+        EpisodeSpec(task=task, seed=page_seed(Purpose.DEMONSTRATE, seed, index))
+        for task in tasks
+        for index in range(per_task)
+    ]
+    with closing(Recorder()) as recorder:
+        return list(watch(recorder, pages, display))
+
+
+def watch(recorder: Recorder, pages: Sequence[EpisodeSpec], display: Display) -> Iterator[Episode]:
+    """The finished episodes, failures among them."""
+    for number, page in enumerate(pages, start=1):
+        where = f"{page.task} {number}/{len(pages)}"
+        try:
+            episode = recorder.record(page, lambda goal, where=where: display.say(f"{where}  {goal}"))  # type: ignore[misc]
+        except Interrupted as error:
+            display.say(f"{where}  lost: {error}")
+        except BrowserGone as error:
+            display.say(f"{where}  ended: {error}")
+            return
+        except KeyboardInterrupt:
+            display.say("stopped")
+            return
+        else:
+            if episode is not None:
+                display.say(f"{where}  {'succeeded' if episode.outcome.success else 'failed'}")
+                yield episode

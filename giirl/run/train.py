@@ -1,0 +1,271 @@
+"""A run from config to result: demonstrations, Algorithm 1, checkpoints, evaluation."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from threading import Event
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+
+from giirl.run.demonstrations import gather
+from giirl.run.evaluate import evaluate
+from giirl.run.folder import RunFolder
+from giirl.run.serial import SerialRuntime
+from giirl.run.workers import WorkersRuntime
+from giirl.signals import Stopped, raise_if, stopping
+from giirl.statistics import WINDOW, lowest_window
+from giirl_core.config import Config
+from giirl_core.config_file import dump_config
+from giirl_core.metrics import Metrics, write_targets
+from giirl_core.progress import Display, Job
+from giirl_core.types import Episode, Trajectory, Weights
+from learner.algorithms import ALGORITHMS
+from learner.checkpoint import latest_checkpoint, save_checkpoint
+from learner.learner import Learner
+
+COUNTS = "counts.json"  # of a checkpoint
+REWARDING = ("giirl", "frozen")  # algorithms that end with a learned reward
+
+
+class Runtime(Protocol):
+    """Whoever plays: in this thread, in Ray on this machine, or in a cluster."""
+
+    def publish(self, policy: Weights, reward: Weights) -> None: ...
+
+    def take(self, episodes: int) -> list[Episode]: ...
+
+    def addresses(self) -> dict[str, str]: ...
+
+    def save(self, folder: Path) -> None: ...
+
+    def committed(self) -> None: ...
+
+    def drain(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def train(config: Config, folder: RunFolder, resume: Path | None, display: Display) -> dict[str, Any]:
+    """Run to the end, evaluate, and return the result; Stopped after Ctrl-C or SIGTERM, with a checkpoint saved."""
+    since_s = time.monotonic()
+    metrics, stop = Metrics(), Event()
+    torch.set_num_threads(1)  # the nets are small, and Chrome wants the other cores
+    own = metrics.serve(config.metrics.host, config.metrics.port)
+    try:
+        if resume is None:
+            folder.save_demonstrations(gather(config, metrics, display))
+        demonstrations = [episode.trajectory for episode in folder.load_demonstrations()]
+        learner = Learner(config, demonstrations, metrics)
+        if resume is not None:
+            learner.load(resume)
+        elif config.algorithm == "frozen":
+            learner.take_reward(reward_of_run(Path(config.reward_from)))
+        else:
+            learner.cloning_start()
+        session = Session(config, folder, learner, metrics, stop, own, display)
+        with stopping(stop):
+            session.learn(resume)
+        policy, _ = learner.weights()
+        tasks = evaluate(config, policy, metrics, display)
+    finally:
+        metrics.close()
+    return {
+        "tasks": tasks,
+        "env_steps": session.env_steps,
+        "seconds": round(session.seconds_before + time.monotonic() - since_s, 1),
+        "algorithm": config.algorithm,
+        "seed": config.seed,
+        "training_episodes": session.episodes,
+        "demonstrations": {task: sum(d.task == task for d in demonstrations) for task in config.tasks},
+        "lowest_last_third": session.lowest_last_third(),
+        "parameters_sha256": learner.hash(),
+    }
+
+
+class Session:
+    """Algorithm 1 under way: feeds it rollouts, publishes what it learns, reports, saves."""
+
+    def __init__(
+        self,
+        config: Config,
+        folder: RunFolder,
+        learner: Learner,
+        metrics: Metrics,
+        stop: Event,
+        own_address: str,
+        display: Display,
+    ) -> None:
+        self._config, self._folder, self._learner, self._metrics = config, folder, learner, metrics
+        self._stop, self._own_address, self._display = stop, own_address, display
+        self._runtime: Runtime | None = None
+        self._job: Job | None = None
+        self._fresh: list[Episode] = []
+        self._whole = True  # nothing is half done: this may be saved
+        self._targets: dict[str, str] = {}
+        self._recent = {task: deque[int](maxlen=WINDOW) for task in config.tasks}
+        self._since_s = time.monotonic()
+        self.seconds_before = 0.0  # of the sessions that this one resumes
+        self.env_steps = 0  # of the episodes that the learner took
+        self.episodes = 0
+
+    def learn(self, resume: Path | None) -> None:
+        """Go from the learner's version to `iterations`."""
+        config, learner = self._config, self._learner
+        self._folder.cut_curve(learner.version)
+        if resume is not None:
+            counts = json.loads((resume / COUNTS).read_text())
+            self.env_steps, self.episodes = counts["env_steps"], counts["episodes"]
+            self.seconds_before = counts["seconds"]
+        if learner.version >= config.iterations:
+            return
+        with self._display.busy(f"starting the {config.runtime} runtime"):
+            self._runtime = open_runtime(config, self._folder, self._metrics, self._stop, resume, self._save_if_whole)
+        try:
+            with self._display.busy("starting actors and reward service"):
+                self._runtime.publish(*learner.weights())
+            self._tell_targets()
+            if resume is None:
+                self._save()  # from here on the run can be resumed
+            self._display.say(f"success is that of the last {WINDOW} episodes of {', '.join(config.tasks)}")
+            with self._display.job("training", config.iterations, learner.version) as self._job:
+                ALGORITHMS[config.algorithm](config, learner, self, self._steps(), self._observe)
+            raise_if(self._stop)
+        except Stopped:
+            self._runtime.drain()
+            self._save()
+            raise
+        except RuntimeError as error:
+            if self._whole:
+                self._save()
+            saved = latest_checkpoint(self._folder.checkpoints).name
+            raise RuntimeError(
+                f"{error}; {saved} is saved, to go on: giirl train --resume {self._folder.path}"
+            ) from error
+        finally:
+            self._runtime.close()
+            write_targets(self._folder.targets, self._folder.path.name, {})  # nobody is there to be scraped any more
+
+    def take(self, episodes: int) -> list[Trajectory]:
+        """Rollouts for Algorithm 1. Their outcomes stay here, for the report."""
+        assert self._runtime is not None
+        self._fresh = self._runtime.take(episodes)
+        if not self._fresh:
+            raise Stopped
+        self._whole = False
+        told = self._config.algorithm == "true_reward"
+        return [pay_true(episode) if told else episode.trajectory for episode in self._fresh]
+
+    def lowest_last_third(self) -> dict[str, float | None]:
+        """Per task, the lowest success over WINDOW sampled episodes in a row in the last third of training."""
+        points = [p for p in self._folder.points() if p["step"] > 2 * self._config.iterations / 3]
+        return {
+            task: lowest_window([bool(o) for p in points for o in p["outcomes"].get(task, [])], WINDOW)
+            for task in self._config.tasks
+        }
+
+    def _steps(self) -> Iterator[int]:
+        for step in range(self._learner.version, self._config.iterations):
+            raise_if(self._stop)
+            self._learner.anneal(step)
+            yield step
+
+    def _observe(self, step: int, stats: dict[str, float]) -> None:
+        """Publish, report and, when it is due, save."""
+        assert self._runtime is not None
+        assert self._job is not None
+        self._learner.version, self._whole = step + 1, True
+        self._metrics.policy_version.set(step + 1)
+        self._metrics.reward_version.set(step + 1)
+        self.env_steps += sum(len(episode.trajectory) for episode in self._fresh)
+        self.episodes += len(self._fresh)
+        outcomes: dict[str, list[int]] = {task: [] for task in self._config.tasks}
+        for episode in self._fresh:
+            outcomes[episode.trajectory.task].append(int(episode.outcome.success))
+        self._folder.append_curve(
+            {**self._counts(), "outcomes": outcomes, **{k: round(v, 4) for k, v in stats.items()}}
+        )
+        self._runtime.publish(*self._learner.weights())
+        self._job.advance(1, self._note(outcomes))
+        self._tell_targets()
+        if (step + 1) % self._config.checkpoint_every == 0 or step + 1 == self._config.iterations:
+            self._save()
+
+    def _counts(self) -> dict[str, float]:
+        seconds = round(self.seconds_before + time.monotonic() - self._since_s, 1)
+        step = self._learner.version
+        return {"step": step, "env_steps": self.env_steps, "episodes": self.episodes, "seconds": seconds}
+
+    def _note(self, outcomes: dict[str, list[int]]) -> str:
+        """How well the policy does as it explores, task by task."""
+        for task, some in outcomes.items():
+            self._recent[task].extend(some)
+        return (
+            "success " + " ".join(f"{100 * sum(some) / max(len(some), 1):.0f}" for some in self._recent.values()) + " %"
+        )
+
+    def _save(self) -> None:
+        runtime = self._runtime
+        assert runtime is not None
+
+        def write(partial: Path) -> None:
+            self._learner.save(partial)
+            runtime.save(partial)
+            (partial / COUNTS).write_text(json.dumps(self._counts()))
+            (partial / self._folder.config_file.name).write_text(dump_config(self._config))
+
+        save_checkpoint(self._folder.checkpoints, self._learner.version, write, keep=self._config.keep_checkpoints)
+        runtime.committed()
+
+    def _save_if_whole(self) -> None:
+        """While it waits for rollouts, and has none that only this process knows."""
+        if self._whole:
+            self._save()
+
+    def _tell_targets(self) -> None:
+        """Write where to scrape when that has changed, and say it once."""
+        assert self._runtime is not None
+        targets = {"learner": self._own_address, **self._runtime.addresses()}
+        if targets != self._targets:
+            write_targets(self._folder.targets, self._folder.path.name, targets)
+            for name in targets.keys() - self._targets.keys():
+                self._display.say(f"metrics of {name}: http://{targets[name]}/metrics")
+            self._targets = targets
+
+
+def reward_of_run(path: Path) -> Weights:
+    """The reward that an earlier run learned; ValueError when it learned none."""
+    folder, config = RunFolder.open(path)
+    if config.algorithm not in REWARDING:
+        raise ValueError(f"{path} learned no reward: its algorithm is {config.algorithm!r}, wanted {REWARDING[0]!r}")
+    return folder.weights(latest_checkpoint(folder.checkpoints), "reward")
+
+
+def pay_true(episode: Episode) -> Trajectory:
+    """The trajectory with the page's own sparse reward: the baseline that is told what the others have to learn."""
+    rewards = np.zeros(len(episode.trajectory), dtype=np.float32)
+    rewards[-1] = episode.outcome.raw_reward
+    return replace(episode.trajectory, rewards=rewards)
+
+
+def open_runtime(
+    config: Config,
+    folder: RunFolder,
+    metrics: Metrics,
+    stop: Event,
+    resume: Path | None,
+    save: Callable[[], None],
+) -> Runtime:
+    """The runtime that the config names. Ray is imported only where it is used."""
+    if config.runtime == "serial":
+        return SerialRuntime(config, metrics, resume)
+    from giirl_core.processes.ray_platform import RayPlatform
+
+    platform = RayPlatform(config, folder.identity)
+    return WorkersRuntime(config, folder, platform, metrics, stop, resume, save)

@@ -1,0 +1,145 @@
+"""Trajectories with their features beside them, and the ways to draw steps from many."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giirl_core.nets.features import ActionBatch, Batch, Features, collate, collate_actions, featurise
+from giirl_core.nets.language import Vectors
+from giirl_core.types import Action, Goal, Trajectory, Verb
+
+
+@dataclass(frozen=True, slots=True)
+class Example:
+    """A trajectory and what the nets see of each of its steps."""
+
+    trajectory: Trajectory
+    features: tuple[Features, ...]  # [T]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One (s, a, g)."""
+
+    features: Features
+    action: Action
+
+
+def study(trajectory: Trajectory, vectors: Vectors) -> Example:
+    """Compute the features once; an example is then used many times."""
+    rows = tuple(featurise(page, trajectory.goal, vectors) for page in trajectory.pages)
+    return Example(trajectory, rows)
+
+
+def steps_of(examples: Sequence[Example]) -> list[Step]:
+    """Every step of every example, in order."""
+    return [
+        Step(row, action)
+        for example in examples
+        for row, action in zip(example.features, example.trajectory.actions, strict=True)
+    ]
+
+
+def collate_steps(steps: Sequence[Step]) -> tuple[Batch, ActionBatch]:
+    """Steps as tensors."""
+    return collate([step.features for step in steps]), collate_actions([step.action for step in steps])
+
+
+class ExpertSampler:
+    """D_E: expert trajectories with their goals, drawn evenly by task; and the same steps under wrong goals."""
+
+    def __init__(self, demonstrations: Sequence[Trajectory], vectors: Vectors, draw: np.random.Generator) -> None:
+        self._vectors, self._draw = vectors, draw
+        self._of_task: dict[str, list[Example]] = {}
+        for trajectory in demonstrations:
+            self._of_task.setdefault(trajectory.task, []).append(study(trajectory, vectors))
+        self._tasks = sorted(self._of_task)
+        # What experts do under each goal: doing it is not wrong there, so it is no negative.
+        self._right: dict[tuple[str, str], set[tuple[Verb, str, str]]] = {}
+        self._goals: dict[str, list[Goal]] = {}
+        for task, examples in self._of_task.items():
+            self._goals[task] = sorted({e.trajectory.goal for e in examples}, key=lambda goal: goal.utterance)
+            for example in examples:
+                right = self._right.setdefault((task, example.trajectory.goal.utterance), set())
+                right |= {_signature(example.trajectory, t) for t in range(len(example.trajectory))}
+
+    def sample(self, trajectories: int) -> list[Example]:
+        """tau_E, g_E: every task equally likely, then every demonstration of it. ValueError when there is none."""
+        if not self._tasks:
+            raise ValueError("there are no demonstrations to learn from")
+        drawn = []
+        for _ in range(trajectories):
+            examples = self._of_task[self._tasks[self._draw.integers(len(self._tasks))]]
+            drawn.append(examples[self._draw.integers(len(examples))])
+        return drawn
+
+    def wrong_goals(self, examples: Sequence[Example]) -> list[Step]:
+        """Expert steps under another goal of their task, where no expert does the same under that goal.
+
+        Steps that are right whatever the goal (pressing Submit) and tasks with one goal give none.
+        """
+        wrong = []
+        for example in examples:
+            own, goals = example.trajectory, self._goals[example.trajectory.task]
+            other = goals[self._draw.integers(len(goals))]
+            t = int(self._draw.integers(len(own)))
+            if other == own.goal or _signature(own, t) in self._right[(own.task, other.utterance)]:
+                continue
+            action = own.actions[t]
+            start, end = other.find(action.text(own.goal)) if action.verb is Verb.TYPE else (-1, -1)
+            row = featurise(own.pages[t], other, self._vectors)
+            wrong.append(Step(row, replace(action, start=start, end=end)))
+        return wrong
+
+
+def _signature(trajectory: Trajectory, t: int) -> tuple[Verb, str, str]:
+    """An action apart from its page: verb, the element's text or tag, and what is typed."""
+    page, action = trajectory.pages[t], trajectory.actions[t]
+    return action.verb, page.text[action.element] or page.tag[action.element], action.text(trajectory.goal)
+
+
+class Replay:
+    """A bounded uniform sample of all trajectories so far (reservoir sampling, Vitter 1985)."""
+
+    def __init__(self, size: int, draw: np.random.Generator) -> None:
+        self.size, self._draw = size, draw
+        self.examples: list[Example] = []
+        self.seen = 0
+
+    def add(self, examples: Sequence[Example]) -> None:
+        for example in examples:
+            self.seen += 1
+            if len(self.examples) < self.size:
+                self.examples.append(example)
+            elif (place := int(self._draw.integers(self.seen))) < self.size:
+                self.examples[place] = example
+
+    def sample(self, count: int) -> list[Example]:
+        """Trajectories drawn with replacement; none while empty."""
+        if not self.examples:
+            return []
+        return [self.examples[i] for i in self._draw.integers(len(self.examples), size=count)]
+
+
+def pick_step(example: Example, draw: np.random.Generator) -> Step:
+    """One of its steps, all equally likely."""
+    t = int(draw.integers(len(example.features)))
+    return Step(example.features[t], example.trajectory.actions[t])
+
+
+def last_step(example: Example, draw: np.random.Generator) -> Step:
+    """Its last step: of an episode that succeeded, the one that reached the goal."""
+    del draw
+    return Step(example.features[-1], example.trajectory.actions[-1])
+
+
+def pad(rows: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """[B, T] from B rows of different lengths, zeros past their ends."""
+    table = np.zeros((len(rows), max(len(row) for row in rows)), dtype=np.float32)
+    for b, row in enumerate(rows):
+        table[b, : len(row)] = row
+    return table

@@ -1,0 +1,235 @@
+"""Every verb on pages that want it: real tasks solved by it, and pages of our own that say what they saw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from giirl_core.types import Action, Command, Observation, Verb
+from tests.browser_farm.real_farm import Farm
+
+pytestmark = pytest.mark.chrome
+
+Move = Callable[[Observation], Action]
+
+
+def row(seen: Observation, tag: str, text: str = "", number: int = 0) -> int:
+    """The number-th row of this tag whose text begins so."""
+    page = seen.page
+    return [i for i in range(len(page)) if page.tag[i] == tag and page.text[i].startswith(text)][number]
+
+
+def on(verb: Verb, tag: str, text: str = "", number: int = 0, **rest: object) -> Move:
+    return lambda seen: Action(verb=verb, element=row(seen, tag, text, number), **rest)  # type: ignore[arg-type]
+
+
+def press(keys: str) -> Move:
+    return lambda seen: Action(verb=Verb.PRESS, literal=keys)
+
+
+SUBMIT = on(Verb.CLICK, "button", "Submit")
+
+
+def play(farm: Farm, seen: Observation, *moves: Move) -> Observation | float:
+    """What the page shows after these moves, or the reward when it has ended."""
+    for move in moves:
+        result = farm.chrome.step({0: Command.of(move(seen), seen)})[0]
+        assert result.lost == ""
+        if result.done:
+            assert move is moves[-1]
+            return result.raw_reward
+        assert result.observation is not None
+        seen = result.observation
+    return seen
+
+
+def show(farm: Farm, html: str, script: str = "") -> Observation:
+    """A page of our own that writes what it saw into `said`."""
+    farm.open("click-test-2", 1)  # so that the next is a new document
+    seen = farm.open("click-test", 1)[0]
+    farm.run(0, f"document.getElementById('area').innerHTML = {html!r}; window.said = []; {script}")
+    shown = play(farm, seen, lambda seen: Action(verb=Verb.WAIT))
+    assert isinstance(shown, Observation)
+    return shown
+
+
+def _small_box_into_the_large(seen: Observation) -> Action:
+    small, large = row(seen, "div", "s"), row(seen, "div", "L")
+    return Action(verb=Verb.DRAG, element=small, to=large)
+
+
+def _over_all_of_the_text(seen: Observation) -> Action:
+    text = max(range(len(seen.page)), key=lambda i: len(seen.page.text[i]))
+    _, _, width, height = map(float, seen.page.box[text])
+    corner = (1 - width / 2, 2 - height / 2)
+    return Action(verb=Verb.DRAG, element=text, at=corner, by=(width + 8, height - 4))
+
+
+def _a_line_through_the_dot(seen: Observation) -> Action:
+    dot = row(seen, "circle")
+    away = (0.0, 30.0) if "vertical" in seen.goal.utterance else (30.0, 0.0)
+    return Action(verb=Verb.DRAG, element=dot, at=(-away[0], -away[1]), by=(2 * away[0], 2 * away[1]))
+
+
+def _the_place_of_the_named_colour(seen: Observation) -> Action:
+    colour = seen.goal.utterance.split()[3]
+    left, top, width, height = map(float, seen.page.box[seen.page.colour.index(colour)])
+    return Action(verb=Verb.CLICK, at=(left + width / 3, top + height / 3))
+
+
+def _the_corner_as_told(seen: Observation) -> Action:
+    by = 20.0 if "larger" in seen.goal.utterance else -20.0
+    corner = next(i for i, names in enumerate(seen.page.classes) if "ui-resizable-se" in names)
+    return Action(verb=Verb.DRAG, element=corner, by=(by, by))
+
+
+def _the_end_as_told(seen: Observation) -> Action:
+    by = (0.0, 5000.0 if "bottom" in seen.goal.utterance else -5000.0)
+    return Action(verb=Verb.SCROLL, element=row(seen, "textarea"), by=by)
+
+
+SOLVED: list[tuple[str, tuple[Move, ...]]] = [
+    ("drag-box", (_small_box_into_the_large, SUBMIT)),
+    ("highlight-text", (_over_all_of_the_text, SUBMIT)),
+    ("draw-line", (_a_line_through_the_dot, SUBMIT)),
+    ("click-color", (_the_place_of_the_named_colour,)),
+    ("resize-textarea", (_the_corner_as_told, SUBMIT)),
+    ("scroll-text-2", (_the_end_as_told, SUBMIT)),
+    (
+        "copy-paste",
+        (
+            on(Verb.CLICK, "textarea"),
+            press("Control+a"),
+            press("Control+c"),
+            on(Verb.CLICK, "input_text"),
+            press("Control+v"),
+            SUBMIT,
+        ),
+    ),
+]
+
+
+@pytest.mark.parametrize("seed", [3, 8])
+@pytest.mark.parametrize(("task", "moves"), SOLVED)
+def test_a_task_that_needs_more_than_clicks_is_solved(
+    farm: Farm, task: str, moves: tuple[Move, ...], seed: int
+) -> None:
+    assert play(farm, farm.open(task, seed)[0], *moves) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("moves", "value"),
+    [
+        ((on(Verb.APPEND, "input_text", literal="cd"),), "abcd"),
+        ((on(Verb.TYPE, "input_text", literal="cd"),), "cd"),
+        ((on(Verb.CLICK, "input_text"), press("Home"), press("x"), press("Shift+X"), press("Delete")), "xXb"),
+        ((on(Verb.CLICK, "input_text"), press("End"), press("Backspace")), "a"),
+        ((on(Verb.CLICK, "input_text"), press("Control+a"), press("Control+x"), *(press("Control+v"),) * 2), "abab"),
+        ((on(Verb.CLICK, "input_text"), press("End"), lambda _: Action(verb=Verb.APPEND, literal="!")), "ab!"),
+        ((on(Verb.PRESS, "input_text", literal="End"), press("ArrowLeft"), press("-")), "a-b"),
+    ],
+)
+def test_a_field_holds_what_a_person_would_have_typed(farm: Farm, moves: tuple[Move, ...], value: str) -> None:
+    seen = play(farm, show(farm, '<input value="ab">'), *moves)
+    assert isinstance(seen, Observation)
+    assert seen.page.value[row(seen, "input_text")] == value
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "value"),
+    [
+        ("number", "-5.5", "-5.5"),
+        ("email", "a@b.c", "a@b.c"),
+        ("date", "2019-02-08", "2019-02-08"),
+        ("date", "02/08/2019", "2019-02-08"),
+        ("time", "19:16", "19:16"),
+        ("time", "7:16 PM", "19:16"),
+        ("time", "12:05 AM", "00:05"),
+        ("range", "30", "30"),
+    ],
+)
+def test_fields_of_a_kind_take_text_in_their_own_form(farm: Farm, kind: str, text: str, value: str) -> None:
+    seen = show(farm, f'<input type="{kind}">')
+    seen = play(farm, seen, on(Verb.TYPE, f"input_{kind}", literal=text))  # type: ignore[assignment]
+    assert seen.page.value[row(seen, f"input_{kind}")] == value
+
+
+def test_enter_sends_a_form_tab_moves_on_and_space_presses(farm: Farm) -> None:
+    html = '<form id="f"><input id="a"><input type="checkbox" id="b"><button>Go</button></form>'
+    script = "document.getElementById('f').addEventListener('submit', (event) => said.push('sent'));"
+    seen = show(farm, html, script)
+    play(farm, seen, on(Verb.CLICK, "input_text"), press("Tab"), press(" "), press("Shift+Tab"), press("Enter"))
+    assert farm.ask(0, "said + ',' + document.getElementById('b').checked") == "sent,true"
+    assert farm.ask(0, "document.activeElement.textContent || document.activeElement.id") == "Go"
+
+
+def test_a_double_click_is_two_clicks_and_their_name(farm: Farm) -> None:
+    script = """for (const name of ['mousedown', 'mouseup', 'click', 'dblclick'])
+        document.getElementById('d').addEventListener(name, (event) => said.push(name + event.detail))"""
+    play(farm, show(farm, '<div id="d">here</div>', script), on(Verb.DOUBLE_CLICK, "div", "here"))
+    assert farm.ask(0, "said.join()") == ("mousedown1,mouseup1,click1,mousedown2,mouseup2,click2,dblclick2")
+
+
+def test_hovering_enters_one_element_and_leaves_the_other(farm: Farm) -> None:
+    script = """for (const name of ['mouseenter', 'mouseleave']) for (const id of ['d', 'e'])
+        document.getElementById(id).addEventListener(name, () => said.push(name.slice(5) + ' ' + id))"""
+    seen = show(farm, '<div id="d">one</div><div id="e">two</div>', script)
+    play(farm, seen, on(Verb.HOVER, "div", "one"), on(Verb.HOVER, "div", "one"), on(Verb.HOVER, "div", "two"))
+    assert farm.ask(0, "said.join()") == "enter d,leave d,enter e"
+
+
+def test_the_button_goes_down_moves_and_comes_up_where_it_is_told(farm: Farm) -> None:
+    script = """for (const name of ['mousedown', 'mousemove', 'mouseup', 'click']) document.addEventListener(name,
+        (event) => said.push(name + Math.round(event.clientX) + ':' + event.buttons))"""
+    down, up = Action(verb=Verb.MOUSE_DOWN, at=(20.0, 90.0)), Action(verb=Verb.MOUSE_UP, at=(40.0, 90.0))
+    move = Action(verb=Verb.HOVER, at=(30.0, 90.0))
+    play(farm, show(farm, "", script), lambda _: down, lambda _: move, lambda _: up)
+    assert farm.ask(0, "said.join()") == (
+        "mousemove20:0,mousedown20:1,mousemove30:1,mousemove40:1,mouseup40:0,click40:0"
+    )
+
+
+def test_a_click_beside_the_middle_of_an_element_reaches_what_is_there(farm: Farm) -> None:
+    seen = show(farm, '<div id="o" style="width:60px;height:20px">a<button id="i">b</button></div>')
+    farm.run(0, "document.addEventListener('click', (event) => said.push(event.target.id), true)")
+    inner = seen.page.box[row(seen, "button")]
+    outer = seen.page.box[seen.page.parent[row(seen, "button")]]
+    offset = tuple(float(v) for v in inner[:2] + inner[2:] / 2 - outer[:2] - outer[2:] / 2)
+    area = int(seen.page.parent[row(seen, "button")])
+    play(farm, seen, lambda _: Action(verb=Verb.CLICK, element=area, at=offset))  # type: ignore[arg-type]
+    assert farm.ask(0, "said.join()") == "i"
+
+
+def test_activating_clicks_and_focuses_without_a_mouse(farm: Farm) -> None:
+    script = """for (const name of ['mousemove', 'mousedown', 'click']) document.addEventListener(name,
+        (event) => said.push(name), true)"""
+    play(farm, show(farm, "<input>", script), on(Verb.ACTIVATE, "input_text"))
+    assert farm.ask(0, "said + ' ' + document.activeElement.tagName") == "click INPUT"
+
+
+def test_drawn_things_are_seen_with_their_colour_and_their_corners(farm: Farm) -> None:
+    html = """<svg width="90" height="90"><g transform="translate(10,0)"><polygon points="0,20 10,0 20,20" fill="red"/>
+        <line x1="0" y1="30" x2="20" y2="40" style="stroke: blue"/></g><circle cx="50" cy="50" r="5" fill="#00f"/>
+        <rect width="9" height="9" style="fill: lime"/></svg><p style="background-color: yellow">word</p>"""
+    seen = show(farm, html.replace("\n", ""))
+    page = seen.page
+    left, top = (float(v) for v in page.box[row(seen, "svg")][:2])
+
+    def looks(tag: str) -> tuple[str, str]:
+        return page.colour[row(seen, tag)], page.shape[row(seen, tag)]
+
+    def corners(*points: tuple[float, float]) -> str:
+        return " ".join(f"{left + x:g},{top + y:g}" for x, y in points)
+
+    assert looks("polygon") == ("red", "triangle " + corners((10, 20), (20, 0), (30, 20)))
+    assert looks("line") == ("", "line " + corners((10, 30), (30, 40)))
+    assert (looks("circle"), looks("rect")) == (("#00f", "circle"), ("lime", "rectangle"))
+    assert looks("p") == ("yellow", "")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_a_canvas_shows_is_seen(farm: Farm, seed: int) -> None:
+    seen = farm.open("count-sides", seed)[0]
+    sides = len(seen.page.shape[row(seen, "canvas")].split()) - 1
+    assert play(farm, seen, on(Verb.CLICK, "button", str(sides))) == 1.0

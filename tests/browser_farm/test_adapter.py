@@ -1,0 +1,172 @@
+"""The miniwob package's words: which command an action becomes, and which observation a page."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from miniwob.action import ActionSpaceConfig, ActionTypes
+from miniwob.observation import create_observation
+
+from benchmarks.gym_equality import differences
+from browser_farm.gym.adapter import Package, chord_of, root_dom
+from browser_farm.gym.elements import Elements, decode_elements, rgba
+from browser_farm.gym.slot import Conduct
+from giirl_core.types import Command, Verb
+
+FIELDS = [("target", "Ada"), ("place", "top")]
+
+
+# ref, row of the parent, flags, background, foreground
+NUMBERS = [1, -1, 1, 0, 1, 2, 0, 2, 2, 3, 3, 1, 8, 1, 2, 4, 0, 8, 1, 2, 5, 0, 0, 1, 2, -1, 4, 8, 0, 0]
+NUMBERS += [6, 4, 8, 1, 2, -2, 4, 8, 0, 0]
+
+
+def page() -> Elements:
+    """A button with a picture in it, a checkbox, two lines of text."""
+    return decode_elements(
+        [
+            ["Press it.", None],
+            ["body", "button", "svg", "input_checkbox", "p", "t", "br", "t"],
+            ["", "", "", "", "", "one", "", "two" * 100],
+            [None, None, None, True, None, None, None, None],
+            ["", "go", "", "", "", "", "", ""],
+            ["", "big red", "SVG_CLASS", "", "", "", "", ""],
+            NUMBERS,
+            [float(number) / 3 for number in range(32)],
+            ["", "rgba(255, 0, 128, 0.5)", "rgb(1, 2, 3)", "color(srgb 1 0 0)"],
+        ]
+    )
+
+
+def command(
+    kind: str, fields: list[tuple[str, str]] | None = None, preset: str = "all_supported", **values: Any
+) -> Command:
+    package = Package.of("enter-text", preset)
+    action = package.create_action(package.action_space, kind, values)
+    return package.command(action, page(), FIELDS if fields is None else fields)
+
+
+CASES: list[tuple[str, dict[str, Any], Command]] = [
+    ("NONE", {}, Command(verb=Verb.WAIT)),
+    ("MOVE_COORDS", {"coords": np.array([3, 4])}, Command(verb=Verb.HOVER, at=(3.0, 4.0))),
+    ("CLICK_COORDS", {"coords": np.array([3, 4])}, Command(verb=Verb.CLICK, at=(3.0, 4.0))),
+    ("DBLCLICK_COORDS", {"coords": np.array([3, 4])}, Command(verb=Verb.DOUBLE_CLICK, at=(3.0, 4.0))),
+    ("MOUSEDOWN_COORDS", {"coords": np.array([3, 4])}, Command(verb=Verb.MOUSE_DOWN, at=(3.0, 4.0))),
+    ("MOUSEUP_COORDS", {"coords": np.array([3, 4])}, Command(verb=Verb.MOUSE_UP, at=(3.0, 4.0))),
+    ("SCROLL_UP_COORDS", {"coords": np.array([3, 4])}, Command(verb=Verb.SCROLL, at=(3.0, 4.0), by=(0.0, -50.0))),
+    ("SCROLL_DOWN_COORDS", {"coords": np.array([3, 4])}, Command(verb=Verb.SCROLL, at=(3.0, 4.0), by=(0.0, 50.0))),
+    ("CLICK_ELEMENT", {"ref": 2}, Command(verb=Verb.ACTIVATE, ref=2)),
+    ("PRESS_KEY", {"key": 0}, Command(verb=Verb.PRESS, text="Enter")),
+    ("TYPE_TEXT", {"text": "Eve"}, Command(verb=Verb.APPEND, text="Eve")),
+    ("TYPE_FIELD", {"field": 1}, Command(verb=Verb.APPEND, text="top")),
+    ("TYPE_FIELD", {"field": 2}, Command(verb=Verb.APPEND)),
+    ("FOCUS_ELEMENT_AND_TYPE_TEXT", {"ref": 4, "text": "Eve"}, Command(verb=Verb.ACTIVATE, ref=4, text="Eve")),
+    ("FOCUS_ELEMENT_AND_TYPE_FIELD", {"ref": 4, "field": 0}, Command(verb=Verb.ACTIVATE, ref=4, text="Ada")),
+    # What is not on the page gets no click, yet the keys are struck.
+    ("CLICK_ELEMENT", {"ref": 77}, Command(verb=Verb.APPEND)),
+    ("FOCUS_ELEMENT_AND_TYPE_TEXT", {"ref": 77, "text": "Eve"}, Command(verb=Verb.APPEND, text="Eve")),
+]
+
+
+@pytest.mark.parametrize(("kind", "values", "wanted"), CASES)
+def test_every_action_of_the_package_is_one_command(kind: str, values: dict[str, Any], wanted: Command) -> None:
+    assert command(kind, **values) == wanted
+
+
+def test_every_action_type_is_covered() -> None:
+    assert {kind for kind, _, _ in CASES} >= {kind.value for kind in ActionTypes}
+
+
+def test_binned_coordinates_point_at_the_middle_of_their_bin() -> None:
+    found = command("CLICK_COORDS", preset="humphreys22", coords=np.array([0, 50]))
+    assert found.at == pytest.approx((160 / 51 / 2, 210 - 210 / 51 / 2))
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"),
+    [
+        ("<Enter>", "Enter"),
+        ("<NumpadEnter>", "Enter"),
+        ("<Space>", " "),
+        ("<NumpadAdd>", "+"),
+        ("<Numpad7>", "7"),
+        ("<ArrowLeft>", "ArrowLeft"),
+        ("A", "A"),
+        ("-", "-"),
+        ("C-a", "Control+a"),
+        ("C-S-<Tab>", "Control+Shift+Tab"),
+        ("M--", "Meta+-"),
+    ],
+)
+def test_keys_are_pressed_by_the_names_that_pages_use(name: str, wanted: str) -> None:
+    assert chord_of(name) == wanted
+
+
+def test_every_key_of_the_presets_has_a_name() -> None:
+    for preset in ("all_supported", "shi17", "liu18", "humphreys22", "all_supported_mac_os"):
+        Package.of("click-test", preset)
+
+
+@pytest.mark.parametrize(
+    ("said", "what"),
+    [
+        ("there is no MiniWoB task 'clik-test'", lambda: Package.of("clik-test")),
+        ("Unknown preset", lambda: Package.of("click-test", "all")),
+        (
+            "the key '<Help>' has no meaning",
+            lambda: Package.of("click-test", ActionSpaceConfig([ActionTypes.PRESS_KEY], allowed_keys=["<Help>"])),
+        ),
+        ("no action of enter-text", lambda: Package.of("enter-text").command({"action_type": 99}, page(), [])),
+        ("no action of enter-text", lambda: Package.of("enter-text").command({"action_type": 8}, page(), [])),
+        ("no action of enter-text", lambda: Package.of("enter-text").command(7, page(), [])),  # type: ignore[arg-type]
+        ("data_mode is 'exam'", lambda: Conduct(data_mode="exam")),
+        ("reset got option 'speed'", lambda: Conduct().heeding({"speed": 1})),
+    ],
+)
+def test_what_the_package_does_not_know_is_refused_in_one_line(said: str, what: Any) -> None:
+    with pytest.raises(ValueError, match=said) as caught:
+        what()
+    assert "\n" not in str(caught.value)
+
+
+def test_table_and_tree_of_a_page_say_the_same() -> None:
+    package = Package.of("enter-text")
+    observed = package.observe(page(), FIELDS, None)
+    wanted = create_observation("Press it.", root_dom(page()), observed["screenshot"], FIELDS)
+    assert list(differences(observed, wanted)) == []
+    assert observed in package.observation_space
+
+
+def test_nothing_in_an_observation_belongs_to_another() -> None:
+    seen = page()
+    first, second = (Package.of("enter-text").observe(seen, FIELDS, None) for _ in range(2))
+    first["dom_elements"][1]["left"][0] = first["dom_elements"][1]["flags"][0] = 9
+    assert second["dom_elements"][1]["left"][0] != 9
+    assert second["dom_elements"][1]["flags"][0] != 9
+
+
+@pytest.mark.parametrize(
+    ("colour", "wanted"),
+    [
+        ("", (1, 1, 1, 1)),
+        ("rgb(255, 0, 51)", (1, 0, 0.2, 1)),
+        ("rgba(0, 51, 0, 0.25)", (0, 0.2, 0, 0.25)),
+        ("color(srgb 1 0 0)", (1, 1, 1, 1)),
+    ],
+)
+def test_colours_are_four_numbers_and_what_cannot_be_read_is_white(colour: str, wanted: tuple[float, ...]) -> None:
+    assert rgba(colour) == pytest.approx(wanted)
+
+
+def test_importing_the_farm_registers_the_environment_and_loads_no_browser() -> None:
+    script = (
+        "import sys, browser_farm, gymnasium\n"
+        "assert 'giirl/MiniWoB-v0' in gymnasium.registry\n"
+        "print(*{'selenium', 'websocket', 'torch', 'ray', 'miniwob', 'PIL'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.strip() == ""

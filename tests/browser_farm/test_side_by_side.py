@@ -1,0 +1,69 @@
+"""Our environment beside the miniwob package's own: same seeds, same actions, every field of every observation.
+
+A sample of the tasks; `python -m benchmarks.gym_equality` goes through all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from miniwob.action import ActionSpaceConfig
+
+from benchmarks.gym_equality import ELEMENT_ACTIONS, Reference, Tally, compare_task, move
+from browser_farm.gym.env import MiniWoB
+
+pytestmark = [pytest.mark.chrome, pytest.mark.slow]
+
+TASKS = [
+    "click-button",
+    "click-dialog-2",  # what has the focus looks different
+    "click-pie-nodelay",  # SVG, drawn with the frames after the start
+    "choose-list",
+    "email-inbox-nl-turk",  # the page names the fields itself
+    "enter-text",
+    "text-transform",  # lines of bare text
+    "use-slider",
+]
+
+
+@pytest.fixture(scope="module")
+def reference() -> Iterator[Reference]:
+    made = Reference()
+    yield made
+    made.env.close()
+
+
+@pytest.fixture(scope="module")
+def ours() -> Iterator[MiniWoB]:
+    made = MiniWoB("click-test")
+    yield made
+    made.close()
+
+
+def test_the_spaces_are_those_of_the_package(reference: Reference, ours: MiniWoB) -> None:
+    assert ours.observation_space == reference.env.observation_space
+    for preset in ("all_supported", "shi17", "liu18", "humphreys22"):
+        config = ActionSpaceConfig.get_preset(preset)
+        config.screen_width, config.screen_height = 160, 210
+        ours.package = type(ours.package).of("click-test", preset)
+        assert ours.package.action_space == config.get_action_space()
+    assert ours.action_space == reference.env.action_space
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_field_is_equal_after_every_action(reference: Reference, ours: MiniWoB, task: str) -> None:
+    tally = Tally()
+    compare_task(task, reference, move(ours, task), tally, kinds=ELEMENT_ACTIONS, seeds=range(70, 72), steps=3)
+    assert tally.differences == []
+    assert tally.observations >= 4
+
+
+@pytest.mark.parametrize("task", ["click-button", "email-inbox", "count-shape"])
+def test_screenshots_are_equal_pixel_by_pixel(reference: Reference, ours: MiniWoB, task: str) -> None:
+    options = {"record_screenshots": True}
+    theirs, _ = reference.show(task).reset(seed=71, options=options)
+    shown, _ = move(ours, task).reset(seed=71, options=options)
+    ours.set_record_screenshots(False)
+    assert np.array_equal(shown["screenshot"], theirs["screenshot"])

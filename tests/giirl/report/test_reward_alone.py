@@ -1,0 +1,113 @@
+"""A learned reward without its run: episodes of a file scored, and a service that answers whoever asks."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from giirl.cli.main import giirl
+from giirl.run.train import reward_of_run
+from giirl_core.config_file import load_config
+from giirl_core.nets.reward import build_reward
+from giirl_core.wire.messages import read_episodes, write_episodes
+from giirl_core.wire.score_client import ScoreClient
+from tests.giirl.small import run
+from tests.learner.samples import expert_episodes
+
+WAIT_S = 100.0
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("finished") / "run"
+    run(path, "iterations=1")
+    return path
+
+
+def command(*words: str | Path) -> Result:
+    return CliRunner().invoke(giirl, [str(word) for word in words])
+
+
+@contextmanager
+def serving(run: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """`giirl reward serve` as a process, and the address that it says."""
+    words = [sys.executable, "-m", "giirl", "reward", "serve", str(run)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        watchdog = threading.Timer(WAIT_S, process.kill)
+        watchdog.start()
+        try:
+            assert process.stdout is not None
+            yield process, process.stdout.readline().strip()
+        finally:
+            process.kill()
+            watchdog.cancel()
+
+
+def test_every_step_of_every_episode_of_a_file_is_scored(finished: Path, tmp_path: Path) -> None:
+    file, out = tmp_path / "some.giirl", tmp_path / "scores.json"
+    episodes = expert_episodes(20)
+    write_episodes(file, episodes)
+    done = command("reward", "score", finished, file, "--json", out)
+    assert done.exit_code == 0, done.exception
+    scored = json.loads(out.read_text())
+    model = build_reward(load_config(finished / "config.json"), reward_of_run(finished))
+    assert [row["seed"] for row in scored["episodes"]] == [e.trajectory.seed for e in episodes]
+    for row, episode in zip(scored["episodes"], episodes, strict=True):
+        assert row["rewards"] == pytest.approx(model.score([episode.trajectory])[0].tolist(), abs=1e-3)
+        assert row["return"] == pytest.approx(sum(row["rewards"]), abs=1e-3)
+        assert row["success"]
+    assert "enter-text" in done.output
+
+
+def test_a_served_reward_answers_until_it_is_told_to_stop(finished: Path) -> None:
+    trajectories = [episode.trajectory for episode in read_episodes(finished / "demonstrations.giirl")]
+    with serving(finished) as (process, address):
+        client = ScoreClient([address], identity="test", timeout_s=10.0)
+        try:
+            rewards, version = client.score(trajectories)
+        finally:
+            client.close()
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=WAIT_S)
+    model = build_reward(load_config(finished / "config.json"), reward_of_run(finished))
+    assert version == 1
+    assert address.startswith("127.0.0.1:")
+    for found, wanted in zip(rewards, model.score(trajectories), strict=True):
+        np.testing.assert_allclose(found, wanted, atol=1e-4)
+    assert process.returncode == 0, said
+    assert "Traceback" not in said
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["score", "RUN", "missing.giirl"], "missing.giirl"),
+        (["score", "RUN", "notes.txt"], "notes.txt is no episode file"),
+        (["score", "nowhere", "notes.txt"], "nowhere is no run"),
+        (["serve", "nowhere"], "nowhere is no run"),
+        (["score", "CLONED", "notes.txt"], "learned no reward"),
+        (["serve", "CLONED"], "learned no reward"),
+    ],
+)
+def test_what_cannot_be_scored_or_served_is_one_line(
+    words: list[str], said: str, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "notes.txt").write_text("dear")
+    (tmp_path / "cloned").mkdir()
+    settings = json.loads((finished / "config.json").read_text()) | {"algorithm": "cloning"}
+    (tmp_path / "cloned/config.json").write_text(json.dumps(settings))
+    where = {"RUN": str(finished), "CLONED": "cloned"}
+    done = command("reward", *(where.get(word, word) for word in words))
+    assert isinstance(done.exception, (ValueError, OSError))
+    assert said in str(done.exception)

@@ -1,0 +1,210 @@
+"""One thread, no chance but the seed's: equal runs are equal to the bit, also after a stop, whatever pages pay."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import giirl.run.serial as serial
+from browser_farm.fake import FakeFarm
+from giirl.run.evaluate import result_table
+from giirl.run.folder import RunFolder
+from giirl.run.serial import SerialRuntime
+from giirl.signals import Stopped
+from giirl_core.types import Command, Episode, Outcome, StepResult
+from learner.checkpoint import latest_checkpoint
+from tests.giirl.small import run
+
+STEPS = 4
+PARAMETERS = "parameters_sha256"
+
+
+@pytest.fixture(scope="module")
+def straight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """A run that nothing disturbed, with a checkpoint after every step."""
+    path = tmp_path_factory.mktemp("straight") / "run"
+    return path, run(path, "checkpoint_every=1", f"keep_checkpoints={STEPS}")
+
+
+def curve(path: Path) -> list[dict[str, Any]]:
+    return [comparable(point) for point in RunFolder(path).points()]
+
+
+def comparable(result: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in result.items() if name != "seconds"}
+
+
+def test_the_same_seed_gives_the_same_run_and_another_seed_another(
+    straight: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    path, result = straight
+    assert comparable(run(tmp_path / "again")) == comparable(result)
+    assert curve(tmp_path / "again") == curve(path)
+    assert run(tmp_path / "other", "seed=1")[PARAMETERS] != result[PARAMETERS]
+
+
+def test_a_result_tells_what_was_played_and_how_well(straight: tuple[Path, dict[str, Any]]) -> None:
+    path, result = straight
+    assert result["training_episodes"] == STEPS * 8
+    assert result["env_steps"] == RunFolder(path).points()[-1]["env_steps"] >= STEPS * 8
+    assert set(result["demonstrations"].values()) == {4}
+    for row in result["tasks"].values():
+        assert row["episodes"] == row["random_episodes"] == 4
+        assert row["low"] <= row["success"] <= row["high"]
+    assert set(result["lowest_last_third"]) == set(result["tasks"])
+    assert result_table(result).row_count == 4
+
+
+@pytest.mark.parametrize("step", [1, 2, STEPS])
+def test_resuming_from_any_checkpoint_ends_in_the_same_bits(
+    step: int, straight: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    path, result = straight
+    copy = tmp_path / "copy"
+    shutil.copytree(path, copy)
+    resumed = run(copy, "checkpoint_every=1", resume=copy / f"checkpoints/step-{step:08d}")
+    assert comparable(resumed) == comparable(result)
+    assert curve(copy) == curve(path)
+
+
+DEMANDING = (
+    "discriminator.dropout=0.3",
+    "discriminator.gradient_penalty=0.1",
+    "discriminator.replay_size=5",
+    "policy.cloning_start=2",
+)
+
+
+@pytest.mark.parametrize(
+    "changes", [DEMANDING, ("algorithm=cloning",), ("algorithm=sqil",)], ids=["giirl", "cloning", "sqil"]
+)
+def test_a_run_stopped_by_a_signal_and_resumed_equals_one_straight_through(
+    changes: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = run(tmp_path / "straight", *changes)
+    before = signal.getsignal(signal.SIGINT)
+    take, calls = SerialRuntime.take, []
+
+    def interrupted(self: SerialRuntime, episodes: int) -> list[Episode]:
+        calls.append(episodes)
+        if len(calls) == 3:
+            signal.raise_signal(signal.SIGINT)
+        return take(self, episodes)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(SerialRuntime, "take", interrupted)
+        with pytest.raises(Stopped):
+            run(tmp_path / "stopped", *changes)
+    assert signal.getsignal(signal.SIGINT) is before
+    checkpoint = latest_checkpoint(tmp_path / "stopped/checkpoints")
+    assert checkpoint.name == "step-00000003"  # the step under way was finished first
+    resumed = run(tmp_path / "stopped", *changes, resume=checkpoint)
+    assert comparable(resumed) == comparable(result)
+
+
+def test_a_second_signal_does_not_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def impatient(self: SerialRuntime, episodes: int) -> list[Episode]:
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGTERM)
+        raise AssertionError("the second signal was swallowed")
+
+    monkeypatch.setattr(SerialRuntime, "take", impatient)
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "run")
+
+
+class Lying(FakeFarm):
+    """Its pages pay noise. When they end, and all else, is as ever."""
+
+    def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]:
+        noise = np.random.default_rng(len(commands))
+        return {tab: replace(r, raw_reward=float(noise.normal())) for tab, r in super().step(commands).items()}
+
+
+@pytest.mark.parametrize("algorithm", ["giirl", "cloning"])
+def test_what_pages_pay_never_reaches_what_is_learned(
+    algorithm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    honest = run(tmp_path / "honest", f"algorithm={algorithm}")
+    monkeypatch.setattr(serial, "open_browser", lambda config, metrics: Lying(tabs=config.actors.tabs))
+    lied = run(tmp_path / "lied", f"algorithm={algorithm}")
+    assert lied[PARAMETERS] == honest[PARAMETERS]
+    shown = [[point["outcomes"] for point in RunFolder(tmp_path / name).points()] for name in ("honest", "lied")]
+    assert shown[0] != shown[1]  # the report did see them
+
+
+def test_outcomes_spoiled_on_the_way_to_the_learner_change_nothing(
+    straight: tuple[Path, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take = SerialRuntime.take
+
+    def spoiled(self: SerialRuntime, episodes: int) -> list[Episode]:
+        return [
+            replace(episode, outcome=Outcome(raw_reward=1.0 - episode.outcome.raw_reward, ended=False))
+            for episode in take(self, episodes)
+        ]
+
+    monkeypatch.setattr(SerialRuntime, "take", spoiled)
+    assert run(tmp_path / "run")[PARAMETERS] == straight[1][PARAMETERS]
+
+
+def test_rewards_that_the_discriminator_gave_do_reach_what_is_learned(
+    straight: tuple[Path, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take = SerialRuntime.take
+
+    def generous(self: SerialRuntime, episodes: int) -> list[Episode]:
+        return [
+            replace(episode, trajectory=replace(episode.trajectory, rewards=episode.trajectory.rewards + 1.0))
+            for episode in take(self, episodes)
+        ]
+
+    monkeypatch.setattr(SerialRuntime, "take", generous)
+    assert run(tmp_path / "run")[PARAMETERS] != straight[1][PARAMETERS]
+
+
+def test_training_demonstrations_and_evaluation_never_share_a_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[set[tuple[str, int]]] = []
+    for module in ("giirl.run.demonstrations", "giirl.run.serial", "giirl.run.evaluate"):
+        seen: set[tuple[str, int]] = set()
+        opened.append(seen)
+
+        class Watched(FakeFarm):
+            _seen = seen
+
+            def reset(self, episodes: Any) -> Any:
+                shown = super().reset(episodes)
+                self._seen |= {(look.episode.task, look.episode.seed) for look in shown.values()}
+                return shown
+
+            def step(self, commands: Any) -> Any:
+                results = super().step(commands)
+                looks = [result.observation for result in results.values() if result.observation]
+                self._seen |= {(look.episode.task, look.episode.seed) for look in looks}
+                return results
+
+        monkeypatch.setattr(f"{module}.open_browser", lambda config, metrics, kind=Watched: kind(tabs=4))
+    run(tmp_path / "run")
+    demonstrated, trained, evaluated = opened
+    assert len(demonstrated) == 16
+    assert len(trained) == STEPS * 8
+    assert len(evaluated) == 2 * 16  # the policy's and chance's
+    assert not demonstrated & trained
+    assert not trained & evaluated
+    assert not evaluated & demonstrated
+
+
+def test_a_checkpoint_of_other_nets_is_refused_in_words(straight: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    path, _ = straight
+    shutil.copy(path / "demonstrations.giirl", tmp_path)
+    with pytest.raises(ValueError, match=r"has shape .* this net wants"):
+        run(tmp_path, "net.width=8", resume=latest_checkpoint(path / "checkpoints"))

@@ -1,0 +1,144 @@
+"""What studies vary: goals held out, demonstrations spoiled, a reward of another run, the page's own reward."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from giirl.analysis.goal_sensitivity import sensitivity
+from giirl.run.folder import RunFolder
+from giirl.run.serial import SerialRuntime
+from giirl.run.train import reward_of_run
+from giirl_core.config_file import load_config
+from giirl_core.goals import is_held_out
+from giirl_core.metrics import Metrics
+from giirl_core.progress import Display
+from giirl_core.types import Episode, Trajectory
+from learner.checkpoint import latest_checkpoint
+from learner.learner import Learner
+from tests.giirl.small import run
+
+PARAMETERS = "parameters_sha256"
+SHARE = 0.4
+
+
+def studied(monkeypatch: pytest.MonkeyPatch) -> list[Trajectory]:
+    """Every rollout that the learner is going to see."""
+    seen: list[Trajectory] = []
+    study = Learner.study
+
+    def watch(self: Learner, trajectories: Any) -> Any:
+        seen.extend(trajectories)
+        return study(self, trajectories)
+
+    monkeypatch.setattr(Learner, "study", watch)
+    return seen
+
+
+def test_goals_that_are_held_out_are_neither_demonstrated_nor_trained_on_but_measured_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = studied(monkeypatch)
+    result = run(
+        tmp_path / "run",
+        'tasks=["click-button", "enter-text"]',
+        f"held_out_goals={SHARE}",
+        "demos.per_task=12",
+        "evaluate.episodes=20",
+    )
+    shown = [episode.trajectory for episode in RunFolder(tmp_path / "run").load_demonstrations()]
+    assert shown
+    assert len(seen) >= 4 * 8
+    assert not any(is_held_out(trajectory.goal, SHARE) for trajectory in [*shown, *seen])
+    for row in result["tasks"].values():
+        parts = row["trained_goals"], row["held_out_goals"]
+        assert sum(part["episodes"] for part in parts) == row["episodes"] == 20
+        assert sum(part["episodes"] * part["success"] for part in parts) == pytest.approx(20 * row["success"])
+
+
+def test_spoiled_demonstrations_take_the_place_of_so_many_good_ones(tmp_path: Path) -> None:
+    run(tmp_path / "good", "demos.per_task=10")
+    run(tmp_path / "spoiled", "demos.per_task=10", "demos.spoiled=0.3")
+    good, spoiled = (RunFolder(tmp_path / name).load_demonstrations() for name in ("good", "spoiled"))
+    assert all(episode.outcome.success for episode in good)
+    assert len(spoiled) == len(good) == 40
+    kept = {(e.trajectory.task, e.trajectory.seed) for e in good}
+    strange = [e for e in spoiled if (e.trajectory.task, e.trajectory.seed) not in kept]
+    assert len(strange) == 4 * 3
+    assert not all(episode.outcome.success for episode in strange)
+
+
+def test_a_policy_follows_the_reward_of_another_run_and_leaves_it_as_it_was(tmp_path: Path) -> None:
+    first = run(tmp_path / "first")
+    again = run(tmp_path / "second", "algorithm=frozen", f"reward_from={tmp_path / 'first'}", "seed=7")
+    learned, followed = (
+        RunFolder(tmp_path / name).weights(latest_checkpoint(tmp_path / name / "checkpoints"), "reward")
+        for name in ("first", "second")
+    )
+    assert followed.digest == learned.digest
+    assert again[PARAMETERS] != first[PARAMETERS]
+
+
+def test_a_run_that_learned_no_reward_has_none_to_follow(tmp_path: Path) -> None:
+    run(tmp_path / "cloned", "algorithm=cloning")
+    with pytest.raises(ValueError, match=r"cloned learned no reward: its algorithm is 'cloning', wanted 'giirl'"):
+        run(tmp_path / "second", "algorithm=frozen", f"reward_from={tmp_path / 'cloned'}")
+
+
+@pytest.mark.parametrize("changes", [["algorithm=frozen"], ["reward_from=runs/x"]])
+def test_a_frozen_reward_and_where_it_is_from_go_together(changes: list[str]) -> None:
+    with pytest.raises(ValueError, match="'frozen' goes with reward_from=RUN"):
+        load_config(None, changes)
+
+
+def test_the_page_s_own_reward_is_told_where_that_is_the_algorithm_and_nowhere_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen, played = studied(monkeypatch), list[Episode]()
+    take = SerialRuntime.take
+
+    def watch(self: SerialRuntime, episodes: int) -> list[Episode]:
+        played.extend(taken := take(self, episodes))
+        return taken
+
+    monkeypatch.setattr(SerialRuntime, "take", watch)
+    result = run(tmp_path / "told", "algorithm=true_reward", "demos.source=file", "demos.path=none")  # nor asked for
+    assert not any(result["demonstrations"].values())
+    for episode, trajectory in zip(played, seen, strict=True):
+        assert trajectory.rewards[-1] == np.float32(episode.outcome.raw_reward)
+        assert not trajectory.rewards[:-1].any()
+    seen.clear()
+    played.clear()
+    run(tmp_path / "giirl")
+    assert all(t.rewards is e.trajectory.rewards for e, t in zip(played, seen, strict=True))
+
+
+@pytest.mark.parametrize("algorithm", ["sqil", "iq_learn"])
+def test_imitation_without_a_reward_ends_in_the_same_bits_each_time(algorithm: str, tmp_path: Path) -> None:
+    first, second = (run(tmp_path / name, f"algorithm={algorithm}") for name in ("one", "two"))
+    assert first[PARAMETERS] == second[PARAMETERS]
+    assert first["algorithm"] == algorithm
+
+
+def test_sensitivity_is_measured_for_tasks_with_more_than_one_goal_and_chance_is_a_half(tmp_path: Path) -> None:
+    run(tmp_path / "run", "iterations=1")
+    config = load_config(tmp_path / "run/config.json")
+    found = sensitivity(config, reward_of_run(tmp_path / "run"), 30, Metrics(), Display())
+    assert set(found) == {"click-button", "enter-text"}
+    for row in found.values():
+        assert row["pairs"] >= 20
+        assert 0.0 <= row["auc"] <= 1.0
+        assert row["shuffled"] == pytest.approx(0.5, abs=0.2)
+        assert not {"trained_goals", "held_out_goals"} & set(row)
+    apart = sensitivity(
+        replace(config, held_out_goals=SHARE), reward_of_run(tmp_path / "run"), 30, Metrics(), Display()
+    )
+    for task, row in apart.items():
+        groups = [row["trained_goals"], row["held_out_goals"]]
+        assert {name: row[name] for name in found[task]} == found[task]
+        for unit in ("pairs", "goals"):
+            assert sum(group[unit] for group in groups) == row[unit]

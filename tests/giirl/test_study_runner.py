@@ -1,0 +1,188 @@
+"""Studies: planned from settings, run once, resumed where they broke off, and added up."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from giirl.cli.reproduce_web import commands, study_table, summary
+from giirl.figures import _success_at, draw_successes
+from giirl.run.folder import RunFolder
+from giirl.studies.runner import Variant, ask_all, measure_elsewhere, plan, pooled, record, run_all
+from giirl.studies.web import STUDIES, base_settings
+from giirl_core.progress import Display
+from tests.giirl.small import SETTINGS
+
+VARIANTS = (
+    Variant(name="giirl"),
+    Variant(name="follower", reward_of="giirl"),
+    Variant(name="cloning", changes=("algorithm=cloning", 'tasks=["click-test"]'), elsewhere=("click-test-2",)),
+)
+
+
+def test_the_same_settings_are_the_same_run_and_a_follower_waits_for_its_own_seed_s_reward(tmp_path: Path) -> None:
+    runs = plan(SETTINGS, VARIANTS, [0, 1], tmp_path)
+    again = plan(SETTINGS, VARIANTS, [0, 1], tmp_path)
+    assert [run.folder for run in runs] == [run.folder for run in again]
+    assert len({run.folder for run in runs}) == 6
+    folder = {(run.variant.name, run.seed): run.folder for run in runs}
+    for run in runs:
+        expected = str(folder["giirl", run.seed]) if run.variant.name == "follower" else ""
+        assert run.config.reward_from == expected
+
+
+@pytest.mark.slow
+def test_runs_are_done_once_and_one_that_fails_does_not_stop_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("giirl.studies.runner.ASKED_PAGES", 20)
+    settings = [*SETTINGS, "iterations=2"]
+    broken = Variant(name="broken", changes=("demos.source=file", f"demos.path={tmp_path / 'none'}"))
+    orphan = Variant(name="orphan", reward_of="broken")
+    runs = plan(settings, (broken, orphan, *VARIANTS), [0], tmp_path / "runs")
+    with pytest.raises(RuntimeError, match=r"1 runs failed, the first of them broken, seed 0: giirl: .*none"):
+        run_all(runs, at_once=2, display=Display())
+    done = {run.variant.name: run for run in runs if run.done}
+    assert set(done) == {"giirl", "follower", "cloning"}
+    before = {name: RunFolder(run.folder).result.stat().st_mtime_ns for name, run in done.items()}
+    run_all(list(done.values()), at_once=2, display=Display())
+    assert before == {name: RunFolder(run.folder).result.stat().st_mtime_ns for name, run in done.items()}
+    ask_all(list(done.values()), Display())
+    measure_elsewhere(list(done.values()), Display())
+    records = [record(run, asked=True) for run in done.values()]
+    assert "toggle" in records[0]
+    assert "toggle" not in record(done["giirl"])
+    assert [each["algorithm"] for each in records] == ["giirl", "frozen", "cloning"]
+    assert records[0]["curve"][-1]["episodes"] == 2 * 8
+    result = summary("test", records)
+    json.dumps(result)
+    assert set(result["variants"]) == set(done)
+    assert result["variants"]["cloning"]["tasks"]["click-test-2"]["episodes"] == 4
+    answers = result["variants"]["giirl"]
+    assert {"own_goal_top1", "swapped_goal_top1"} == set(answers["toggle"])
+    assert set(answers["sensitivity"]) == {"click-button", "enter-text"}  # where instructions differ
+    assert (
+        study_table("test", result).row_count == 13
+    )  # three for each, two of what the reward answered, chance and the thesis
+
+
+def made(variant: str, seed: int, successes: list[int]) -> dict[str, Any]:
+    """A record as a run of one task leaves it, but for its curve's length."""
+    share = sum(successes) / len(successes)
+    task = {"episodes": len(successes), "success": share, "low": 0.0, "high": 1.0, "random": 0.1, "random_episodes": 10}
+    curve = [
+        {"env_steps": 100 * step, "episodes": 10 * step, "success": {"click-it": None if step < 2 else share}}
+        for step in range(1, 6)
+    ]
+    return {"variant": variant, "seed": seed, "tasks": {"click-it": task}, "curve": curve}
+
+
+def test_seeds_are_added_up_with_the_interval_of_all_their_episodes() -> None:
+    found = pooled([made("a", 0, [1, 1, 1, 0]), made("a", 1, [1, 1])])["click-it"]
+    assert found["episodes"] == 6
+    assert found["success"] == pytest.approx(5 / 6, abs=1e-4)
+    assert found["random_episodes"] == 20
+    assert found["worst_seed"] == 0.75
+    assert found["low"] < found["success"] < found["high"]
+
+
+def test_a_curve_says_when_enough_episodes_in_a_row_were_won(tmp_path: Path) -> None:
+    (run,) = plan(SETTINGS, VARIANTS[:1], [0], tmp_path)
+    folder = RunFolder(run.folder)
+    run.folder.mkdir(parents=True)
+    for step in range(1, 31):
+        outcomes = {"click-it": [int(step > 10)] * 5, "press-it": [0] * 5}
+        folder.append_curve({"step": step, "env_steps": 20 * step, "episodes": 10 * step, "outcomes": outcomes})
+    folder.write_json(folder.result, {"tasks": {}, "seed": 0})
+    found = record(run)
+    assert found["episodes_to"]["0.95"] == {"click-it": 200, "press-it": None}  # 48 of the last 50, at step 20
+    assert found["env_steps_to"]["0.99"] == {"click-it": 400, "press-it": None}
+    assert found["curve"][8]["success"] == {"click-it": None, "press-it": None}
+    assert found["curve"][-1]["success"] == {"click-it": 1.0, "press-it": 0.0}
+
+
+def test_a_curve_begins_with_its_first_point_and_goes_on_with_its_last() -> None:
+    curve = [{"env_steps": 100, "success": {"it": None}}, {"env_steps": 200, "success": {"it": 0.5}}]
+    curve += [{"env_steps": 300, "success": {"it": 1.0}}]
+    drawn = _success_at(np.array([50.0, 150.0, 200.0, 250.0, 300.0, 900.0]), curve, "it")
+    np.testing.assert_allclose(drawn, [np.nan, np.nan, 0.5, 0.75, 1.0, 1.0])
+
+
+def test_curves_are_drawn(tmp_path: Path) -> None:
+    draw_successes(tmp_path / "it.png", [made("a", 0, [1]), made("a", 1, [0]), made("b", 0, [1])])
+    assert (tmp_path / "it.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_tuning_and_reporting_never_share_a_study() -> None:
+    (command,) = [command for command in commands() if command.name == "nets"]
+    said = CliRunner().invoke(command, ["--first-seed", "98", "--seeds", "3"])
+    assert said.exit_code == 2
+    assert "seeds 98 to 100 are for reports and for tuning: wanted all below 100, or none" in said.output
+
+
+@pytest.mark.parametrize("name", [name for name, study in STUDIES.items() if study.chooses])
+def test_choices_are_made_on_tuning_seeds_alone(name: str) -> None:
+    (command,) = [command for command in commands() if command.name == name]
+    assert {p.name: p.default for p in command.params}["first_seed"] == 100
+    said = CliRunner().invoke(command, ["--first-seed", "0"])
+    assert said.exit_code == 2
+    assert f"seed 0 is for reports and {name} is for choices: wanted 100 or more" in said.output
+
+
+def test_a_run_is_never_taken_for_one_of_other_settings_or_of_another_version(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folders = [one.folder for one in plan(SETTINGS, VARIANTS[:1], [0, 1], tmp_path)]
+    folders += [plan((*SETTINGS, "policy.gamma=0.8"), VARIANTS[:1], [0], tmp_path)[0].folder]
+    assert plan((*SETTINGS, "policy.gamma=0.9"), VARIANTS[:1], [0], tmp_path)[0].folder == folders[0]  # the default
+    monkeypatch.setattr("giirl.studies.runner.VERSION", "another")
+    folders += [plan(SETTINGS, VARIANTS[:1], [0], tmp_path)[0].folder]
+    assert len(set(folders)) == 4
+
+
+@pytest.mark.parametrize("name", sorted(STUDIES))
+def test_every_study_is_made_of_settings_that_exist_and_has_its_command(name: str, tmp_path: Path) -> None:
+    study = STUDIES[name]
+    for demos in (None, tmp_path):
+        runs = plan(base_settings(study, demos), study.variants, [0], tmp_path)
+        assert len({run.folder for run in runs}) == len(study.variants)
+        assert all(run.config.evaluate.episodes == study.pages for run in runs)
+    assert name in {command.name for command in commands()}
+
+
+def test_all_is_every_command_with_what_it_takes_and_none_that_is_done(tmp_path: Path) -> None:
+    called: list[tuple[object, ...]] = []
+
+    @click.command("figure-x")
+    @click.option("--out", type=click.Path(path_type=Path))
+    @click.option("--seeds", type=int, default=10)
+    @click.option("--json", "json_file", type=click.Path(path_type=Path))
+    def figure(out: Path, seeds: int, json_file: Path) -> None:
+        called.append(("figure", out, seeds, json_file))
+
+    @click.command("frozen")
+    @click.option("--demos", type=click.Path(path_type=Path))
+    @click.option("--seeds", type=int, default=1)
+    @click.option("--set", "changes", multiple=True)
+    @click.option("--json", "json_file", type=click.Path(path_type=Path))
+    def study(demos: Path, seeds: int, changes: tuple[str, ...], json_file: Path) -> None:
+        called.append(("study", demos, seeds, changes, json_file))
+
+    (everything,) = (command for command in commands() if command.name == "all")
+    group = click.Group("reproduce", commands=[figure, study, everything])
+    words = ["all", "--demos", "there", "--seeds", "3", "--out", str(tmp_path)]
+    CliRunner().invoke(group, words, catch_exceptions=False)
+    done = tmp_path / "frozen.json"
+    assert called == [
+        ("figure", tmp_path, 10, tmp_path / "figure-x.json"),
+        ("study", Path("there"), 3, (), done),
+    ]
+    done.write_text("{}")
+    CliRunner().invoke(group, words, catch_exceptions=False)
+    assert [each[0] for each in called] == ["figure", "study", "figure"]

@@ -1,0 +1,103 @@
+"""A whole run over real sockets, its processes played by threads: lock-step, actors that come and go, replicas."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+from threading import Thread
+from typing import Any
+
+import pytest
+
+import giirl.run.train as giirl_run
+from actors.episode_counter import tallied
+from giirl.run.folder import RunFolder
+from giirl.run.workers import WorkersRuntime
+from giirl_core.config_file import dump_config
+from giirl_core.nets.parameters import seal_net
+from giirl_core.nets.reward import build_reward
+from giirl_core.types import Episode
+from reward_service.process import RewardProcess
+from tests.chaos.threads import ThreadPlatform
+from tests.giirl.small import config, run
+
+LOCK_STEP = ("runtime=local", "stream.policy_lag=0", "stream.reward_lag=0", "actors.tabs=2")
+FEW = ("iterations=3", "evaluate.episodes=1", "evaluate.floor_episodes=1")
+
+
+@pytest.fixture
+def runtimes(monkeypatch: pytest.MonkeyPatch) -> list[WorkersRuntime]:
+    """Those that runs opened, in threads instead of processes."""
+    opened: list[WorkersRuntime] = []
+
+    def open_runtime(config: Any, folder: Any, metrics: Any, stop: Any, resume: Any, save: Any) -> WorkersRuntime:
+        opened.append(WorkersRuntime(config, folder, ThreadPlatform(), metrics, stop, resume, save))
+        return opened[-1]
+
+    monkeypatch.setattr(giirl_run, "open_runtime", open_runtime)
+    return opened
+
+
+def test_lock_step_over_sockets_gives_the_same_bits_whoever_is_quicker(
+    runtimes: list[WorkersRuntime], tmp_path: Path
+) -> None:
+    first = run(tmp_path / "a", *LOCK_STEP, *FEW, "actors.count=2", "scoring.replicas=2")
+    second = run(tmp_path / "b", *LOCK_STEP, *FEW, "actors.count=2", "stream.credits=1")
+    assert first["parameters_sha256"] == second["parameters_sha256"]
+    assert len(runtimes) == 2
+
+
+@pytest.mark.slow
+def test_actors_are_added_and_removed_while_a_run_goes_on(
+    runtimes: list[WorkersRuntime], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take = WorkersRuntime.take
+    heard: list[list[str]] = []
+
+    def resizing(self: WorkersRuntime, episodes: int) -> list[Episode]:
+        wanted = {2: 3, 8: 1, 14: 2}.get(len(heard))
+        if wanted:
+            folder = RunFolder(tmp_path / "run")
+            folder.write(folder.wanted, str(wanted))
+        taken = take(self, episodes)
+        heard.append(sorted(name for name in self.addresses() if name.startswith("actor")))
+        return taken
+
+    monkeypatch.setattr(WorkersRuntime, "take", resizing)
+    monkeypatch.setattr("giirl.run.workers.TEND_S", 0.01)
+    run(tmp_path / "run", "runtime=local", "iterations=40", "evaluate.episodes=1", "evaluate.floor_episodes=1")
+    numbers = [len(names) for names in heard]
+    assert (numbers[0], max(numbers)) == (1, 3)
+    assert [actor.name for actor in runtimes[0]._actors] == ["actor-0", "actor-1"]  # the third was told to leave
+    assert [actor.restarts for actor in runtimes[0]._actors] == [0, 0]  # nor was the second refused when it came back
+    held = runtimes[0]._ingest.snapshot()
+    assert {mark.actor for mark in held.marks} == {"actor-0", "actor-1", "actor-2"}
+    tallies = {mark.actor: tallied(tmp_path / "run/actors" / f"{mark.actor}.tally")[-1] for mark in held.marks}
+    assert {mark.actor: (mark.incarnation, mark.floor) for mark in held.marks} == tallies  # nothing is unaccounted
+
+
+def test_a_reward_service_that_nobody_began_is_begun_and_one_that_serves_is_joined(tmp_path: Path) -> None:
+    service = RewardProcess(dump_config(config(tmp_path)), None)
+    service.addresses()
+    first, second = seal_net(build_reward(config(tmp_path)).net, 1), seal_net(build_reward(config(tmp_path)).net, 0)
+    service.rejoin(first)  # returns: whoever asked has to begin it
+    threads = [Thread(target=service.run, args=(first,)), Thread(target=service.rejoin, args=(second,))]
+    threads[0].start()
+    while not service._serves:
+        time.sleep(0.01)
+    threads[1].start()
+    threads[1].join(0.5)
+    assert threads[1].is_alive()  # for as long as it serves
+    service.stop()
+    for thread in threads:
+        thread.join(10)
+        assert not thread.is_alive()
+
+
+def test_reward_service_can_be_addressed_before_torch_and_all_that_actors_need_are_imported() -> None:
+    look = "import sys, reward_service.process; print(*{name.split('.')[0] for name in sys.modules})"
+    loaded = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True, timeout=60).stdout
+    assert not {"torch", "actors", "browser_farm", "learner"} & set(loaded.split())
+    assert "reward_service" in loaded.split()

@@ -1,0 +1,94 @@
+"""Settings: read from files and the command line, refused in one line that names the nearest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from giirl_core.config import Config
+from giirl_core.config_file import dump_config, keys, load_config
+
+
+def test_without_file_or_changes_the_defaults_hold() -> None:
+    assert load_config(None) == Config()
+
+
+def test_a_file_is_changed_by_what_the_command_line_says(tmp_path: Path) -> None:
+    path = tmp_path / "small.toml"
+    path.write_text('tasks = ["click-test"]\nseed = 3\n[policy]\ngamma = 0.5\n')
+    config = load_config(path, ["seed=4", "policy.entropy=0.2", "run=out/a"])
+    assert (config.tasks, config.seed, config.run) == (("click-test",), 4, "out/a")
+    assert (config.policy.gamma, config.policy.entropy) == (0.5, 0.2)
+
+
+@settings(max_examples=30)
+@given(st.integers(0, (1 << 16) - 1), st.floats(1e-6, 1e6))
+def test_what_was_dumped_is_read_back_the_same(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, rate: float
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "dumped.json"
+    config = load_config(None, [f"seed={seed}", f"policy.learning_rate={rate!r}"])
+    path.write_text(dump_config(config))
+    assert load_config(path) == config
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("polcy.gamma=0.5", "no setting 'polcy'; the nearest is 'policy'"),
+        ("policy.gama=0.5", "no setting 'policy.gama'; the nearest is 'policy.gamma'"),
+        ("policy.gamma=1.5", "policy.gamma = 1.5"),
+        ("policy.entropy=0", "policy.entropy = 0: .* greater than 0"),
+        ("policy.entropy=inf", "policy.entropy = inf: .* finite"),
+        ("policy.entropy=nan", "policy.entropy = nan"),
+        ("policy.asked=3", "policy.asked = 3: .* multiple of 2"),
+        ("seed=65536", "seed = 65536"),
+        ("seed=one", "seed = 'one'"),
+        ("net.width=6", "net.width = 6: .* multiple of 4"),
+        ("browser=firefox", "browser = 'firefox': .*'chrome' or 'fake'"),
+        ("tasks=click-test", "tasks = 'click-test'"),
+        ("tasks=[]", "tasks = "),
+        ("policy=3", "policy = 3"),
+        ("seed.deep=3", "seed = "),
+        ("seed", "'seed' is no override: wanted key=value"),
+        ("=1", "'=1' is no override"),
+    ],
+)
+def test_a_setting_that_cannot_be_is_one_line(change: str, said: str) -> None:
+    with pytest.raises(ValueError, match=said) as caught:
+        load_config(None, [change])
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.toml", b"seed = ", "a.toml is not valid TOML"),
+        ("a.json", b"{", "a.json is not valid JSON"),
+        ("a.json", b"[1]", "holds list, wanted a table"),
+        ("a.toml", b"\xff\xfe", "cannot read the config .*a.toml"),
+        ("a.toml", b"sede = 1", "a.toml: there is no setting 'sede'; the nearest is 'seed'"),
+        ("missing.toml", None, "cannot read the config .*missing.toml"),
+    ],
+)
+def test_a_file_that_is_no_config_is_named(name: str, content: bytes | None, said: str, tmp_path: Path) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=said) as caught:
+        load_config(tmp_path / name)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_section_below_a_value_in_a_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text("policy = 3\n")
+    with pytest.raises(ValueError, match="'policy' is a value, not a section"):
+        load_config(path, ["policy.gamma=0.5"])
+
+
+def test_every_setting_has_a_dotted_name() -> None:
+    assert {"seed", "policy", "policy.gamma", "discriminator.wrong_goal", "metrics.port"} <= set(keys())
+    assert len(keys()) == len(set(keys()))

@@ -1,0 +1,111 @@
+"""Metrics as Prometheus sees them: over HTTP."""
+
+from __future__ import annotations
+
+import json
+import urllib.request
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from giirl_core.metrics import Metrics, waiting, write_targets
+
+
+@pytest.fixture
+def metrics() -> Iterator[Metrics]:
+    with closing(Metrics()) as made:
+        yield made
+
+
+def scrape(address: str) -> dict[tuple[str, frozenset[tuple[str, str]]], float]:
+    with urllib.request.urlopen(f"http://{address}/metrics", timeout=10) as answer:
+        families = list(text_string_to_metric_families(answer.read().decode()))
+    return {
+        (sample.name, frozenset(sample.labels.items())): sample.value
+        for family in families
+        for sample in family.samples
+    }
+
+
+def test_what_was_counted_is_scraped(metrics: Metrics) -> None:
+    address = metrics.serve()
+    metrics.env_steps.inc(3)
+    metrics.episodes.labels("click-test", "success").inc()
+    metrics.trajectories_dropped.labels("stale").inc(2)
+    metrics.policy_version.set(7)
+    metrics.policy_lag.observe(2)
+    metrics.update_seconds.labels("policy").observe(0.03)
+    found = scrape(address)
+    assert found["giirl_env_steps_total", frozenset()] == 3
+    labels = frozenset({("task", "click-test"), ("outcome", "success")})
+    assert found["giirl_episodes_total", labels] == 1
+    assert found["giirl_trajectories_dropped_total", frozenset({("reason", "stale")})] == 2
+    assert found["giirl_policy_version", frozenset()] == 7
+    assert found["giirl_policy_lag_bucket", frozenset({("le", "1.0")})] == 0
+    assert found["giirl_policy_lag_bucket", frozenset({("le", "2.0")})] == 1
+    assert found["giirl_update_seconds_count", frozenset({("network", "policy")})] == 1
+
+
+def test_every_name_that_dashboards_know_is_there(metrics: Metrics) -> None:
+    names = {family.name for family in metrics.registry.collect()}
+    assert names >= {
+        "giirl_browser_restarts",
+        "giirl_discriminator_accuracy",
+        "giirl_env_steps",
+        "giirl_episodes",
+        "giirl_policy_lag",
+        "giirl_policy_version",
+        "giirl_reward_lag",
+        "giirl_reward_version",
+        "giirl_scoring_requests",
+        "giirl_scoring_seconds",
+        "giirl_trajectories_dropped",
+        "giirl_trajectories_received",
+        "giirl_update_seconds",
+        "giirl_updates",
+        "giirl_waiting_now",
+        "giirl_waiting_seconds",
+        "giirl_weights_refused",
+    }
+
+
+def test_two_registries_share_nothing(metrics: Metrics) -> None:
+    metrics.env_steps.inc()
+    with closing(Metrics()) as other:
+        assert scrape(other.serve())["giirl_env_steps_total", frozenset()] == 0
+
+
+def test_a_wait_shows_while_it_lasts_and_is_counted_even_when_it_fails(metrics: Metrics) -> None:
+    def value(name: str) -> float | None:
+        return metrics.registry.get_sample_value(name, {"what": "rollouts"})
+
+    def wait_in_vain() -> None:
+        with waiting(metrics, "rollouts"):
+            assert value("giirl_waiting_now") == 1
+            raise TimeoutError
+
+    with pytest.raises(TimeoutError):
+        wait_in_vain()
+    assert value("giirl_waiting_now") == 0
+    assert (value("giirl_waiting_seconds_total") or 0) > 0
+
+
+def test_a_port_in_use_is_told_in_one_line(metrics: Metrics) -> None:
+    port = int(metrics.serve().rpartition(":")[2])
+    with pytest.raises(ValueError, match=rf"metrics cannot listen on 127\.0\.0\.1:{port}: ") as caught:
+        metrics.serve(port=port)
+    assert "\n" not in str(caught.value)
+
+
+def test_prometheus_is_told_where_to_scrape(tmp_path: Path) -> None:
+    path = tmp_path / "targets.json"
+    write_targets(path, "one", {"learner": "127.0.0.1:1"})
+    write_targets(path, "one", {"learner": "127.0.0.1:2", "actor-0": "127.0.0.1:3"})
+    assert json.loads(path.read_text()) == [
+        {"targets": ["127.0.0.1:3"], "labels": {"job": "giirl", "run": "one", "process": "actor-0"}},
+        {"targets": ["127.0.0.1:2"], "labels": {"job": "giirl", "run": "one", "process": "learner"}},
+    ]
+    assert list(tmp_path.iterdir()) == [path]

@@ -1,0 +1,160 @@
+"""Sockets on loopback: who may listen, who may talk, and that nothing waits for ever."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import closing
+
+import pytest
+import zmq
+
+from giirl_core.wire.transport import Dealer, Keys, Router
+
+WAIT_S = 10.0
+
+
+@pytest.fixture
+def router() -> Iterator[Router]:
+    with closing(Router()) as made:
+        yield made
+
+
+def test_messages_go_there_and_back(router: Router) -> None:
+    with closing(Dealer(router.address, identity=b"a")) as dealer:
+        for message in (b"one", b"", b"two" * 100_000):
+            assert dealer.send(message, timeout_s=WAIT_S)
+            assert router.recv(WAIT_S) == (b"a", message)
+            assert router.send(b"a", message)
+            assert dealer.recv(WAIT_S) == message
+
+
+def test_a_message_in_several_frames_is_none_of_ours_and_reads_as_nothing(router: Router) -> None:
+    with zmq.Context() as context, context.socket(zmq.DEALER) as stranger:
+        stranger.identity, stranger.linger = b"a", 0
+        stranger.connect(f"tcp://{router.address}")
+        stranger.send_multipart([b"one", b"", b"two"])
+        assert router.recv(WAIT_S) == (b"a", b"")
+        stranger.send(b"whole")
+        assert router.recv(WAIT_S) == (b"a", b"whole")
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as stranger:
+        stranger.linger = 0
+        port = stranger.bind_to_random_port("tcp://127.0.0.1")
+        with closing(Dealer(f"127.0.0.1:{port}", identity=b"a")) as dealer:
+            assert dealer.send(b"x", timeout_s=WAIT_S)
+            peer, _ = stranger.recv_multipart()
+            stranger.send_multipart([peer, b"one", b"two"])
+            assert dealer.recv(WAIT_S) == b""
+
+
+def test_waiting_for_nobody_ends(router: Router) -> None:
+    assert router.recv(0.01) is None
+    with closing(Dealer("127.0.0.1:1", identity=b"a")) as dealer:
+        assert dealer.recv(0.01) is None
+        assert not dealer.send(b"x", timeout_s=0.01)
+
+
+def test_a_message_for_a_stranger_is_reported_as_not_sent(router: Router) -> None:
+    assert not router.send(b"stranger", b"x")
+
+
+def test_another_thread_wakes_a_router(router: Router) -> None:
+    waker = threading.Timer(0.05, router.wake)
+    waker.start()
+    assert router.recv(600.0) is None  # longer than any test may take
+    waker.join()
+    for _ in range(100_000):
+        router.wake()  # never waits, however full its pipe is
+
+
+def test_a_peer_that_comes_back_takes_its_place_again(router: Router) -> None:
+    with closing(Dealer(router.address, identity=b"a")) as first:
+        assert first.send(b"1", timeout_s=WAIT_S)
+        assert router.recv(WAIT_S) == (b"a", b"1")
+        with closing(Dealer(router.address, identity=b"a")) as second:
+            assert second.send(b"2", timeout_s=WAIT_S)
+            assert router.recv(WAIT_S) == (b"a", b"2")
+            assert router.send(b"a", b"3")
+            assert second.recv(WAIT_S) == b"3"
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.0.2.1", "*", "example.invalid"])
+def test_beyond_loopback_nobody_listens_without_keys(host: str) -> None:
+    with pytest.raises(ValueError, match="without CURVE keys"):
+        Router(host)
+
+
+def test_with_keys_a_router_may_listen_everywhere() -> None:
+    with closing(Router("0.0.0.0", keys=Keys.make())) as router:
+        assert router.address.startswith("0.0.0.0:")
+
+
+def test_holders_of_the_keys_talk_and_nobody_else_does() -> None:
+    keys, others = Keys.make(), Keys.make()
+    with closing(Router(keys=keys)) as router:
+        with closing(Dealer(router.address, identity=b"a", keys=keys)) as dealer:
+            assert dealer.send(b"x", timeout_s=WAIT_S)
+            assert router.recv(WAIT_S) == (b"a", b"x")
+        for wrong in (others, None):
+            with closing(Dealer(router.address, identity=b"b", keys=wrong)) as dealer:
+                assert not dealer.send(b"x", timeout_s=0.5)
+                assert dealer.refusals
+                assert router.recv(0.0) is None
+        assert router.refusals
+
+
+@pytest.mark.parametrize("holder", [True, False])
+def test_knowing_the_public_key_alone_opens_nothing(holder: bool) -> None:
+    keys = Keys.make()
+    own = keys if holder else Keys.make()
+    with closing(Router(keys=keys)) as router, zmq.Context() as context, context.socket(zmq.DEALER) as client:
+        client.linger = 0
+        client.curve_serverkey = keys.public
+        client.curve_publickey = own.public
+        client.curve_secretkey = own.secret
+        client.connect(f"tcp://{router.address}")
+        client.send(b"x")
+        assert (router.recv(WAIT_S if holder else 0.5) is not None) == holder
+
+
+def test_a_message_over_the_limit_is_cut_off_and_nobody_else_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("giirl_core.wire.transport.MAX_BYTES", 10_000)
+    with closing(Router()) as router, closing(Dealer(router.address, identity=b"a")) as dealer:
+        with zmq.Context() as context, context.socket(zmq.DEALER) as vandal:
+            vandal.linger = 0
+            vandal.connect(f"tcp://{router.address}")
+            vandal.send(b"x" * 10_001)
+            assert router.recv(0.5) is None
+        assert dealer.send(b"x" * 10_000, timeout_s=WAIT_S)
+        assert router.recv(WAIT_S) == (b"a", b"x" * 10_000)
+
+
+def test_a_bad_key_is_refused_and_a_secret_is_not_shown() -> None:
+    keys = Keys.make()
+    with pytest.raises(ValueError, match="Z85"):
+        Keys(public=b"short", secret=b"short")
+    with pytest.raises(ValueError, match="does not belong"):
+        Keys(public=Keys.make().public, secret=keys.secret)
+    assert keys.secret.decode() not in repr(keys)
+
+
+def test_a_port_in_use_and_one_that_is_none_are_told_in_one_line(router: Router) -> None:
+    port = int(router.address.rpartition(":")[2])
+    with pytest.raises(ValueError, match=rf"cannot listen on 127\.0\.0\.1:{port}: .*wanted a free port"):
+        Router(port=port)
+    with pytest.raises(ValueError, match="out of range"):
+        Router(port=70_000)
+    with pytest.raises(ValueError, match="wanted host:port"):
+        Dealer("nowhere", identity=b"a")
+    with pytest.raises(ValueError, match="no name"):
+        Dealer(router.address, identity=b"")
+
+
+def test_a_stranger_on_the_port_who_speaks_http_does_no_harm(router: Router) -> None:
+    host, _, port = router.address.rpartition(":")
+    with socket.create_connection((host, int(port)), timeout=WAIT_S) as stranger:
+        stranger.sendall(b"GET / HTTP/1.1\r\n\r\n" * 10)
+        with closing(Dealer(router.address, identity=b"a")) as dealer:
+            assert dealer.send(b"x", timeout_s=WAIT_S)
+            assert router.recv(WAIT_S) == (b"a", b"x")

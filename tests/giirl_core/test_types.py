@@ -1,0 +1,183 @@
+"""Values that are not legal cannot be built, and goals give back their own words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from giirl_core.keys import chord
+from giirl_core.types import Action, Command, EpisodeSpec, Goal, Observation, Outcome, Purpose, Verb, Weights, page_seed
+from tests.learner.samples import FLAT, LONG, page, trajectory
+
+CLICK = Action(verb=Verb.CLICK, element=0)
+
+
+@given(st.text().filter(lambda text: bool(text.split())))
+def test_every_span_of_a_goal_is_cut_from_its_own_characters(utterance: str) -> None:
+    goal = Goal(utterance)
+    assert [goal.span(i, i) for i in range(len(goal.tokens))] == list(goal.tokens)
+    assert goal.span(0, len(goal.tokens) - 1) == utterance.strip()
+
+
+@given(st.text(alphabet='ab" .', min_size=1).filter(lambda text: bool(text.split())), st.data())
+def test_what_is_found_in_a_goal_reads_exactly_so(utterance: str, data: st.DataObject) -> None:
+    goal = Goal(utterance)
+    start = data.draw(st.integers(0, len(goal.tokens) - 1))
+    end = data.draw(st.integers(start, len(goal.tokens) - 1))
+    text = goal.span(start, end)
+    assert goal.span(*goal.find(text)) == text
+
+
+def test_quoted_words_are_found_before_the_same_words_elsewhere() -> None:
+    goal = Goal('Press press the button "press" and press on.')
+    assert goal.find("press") == (5, 5)
+    assert goal.find("Press") == (0, 0)
+
+
+def test_find_wants_case_and_spacing_as_in_the_goal() -> None:
+    goal = Goal('Enter "Ada  Lovelace".')
+    assert goal.find("Ada  Lovelace") == (2, 3)
+    assert goal.find("Ada Lovelace") == (-1, -1)
+    assert goal.find("ada  lovelace") == (-1, -1)
+    assert goal.find("") == (-1, -1)
+
+
+def test_a_goal_without_a_word_is_refused() -> None:
+    with pytest.raises(ValueError, match="at least one word, got '  '"):
+        Goal("  ")
+
+
+def test_an_action_types_the_words_it_points_at_and_a_click_types_nothing() -> None:
+    goal = Goal("Type one two.")
+    assert Action(verb=Verb.TYPE, element=0, start=1, end=2).text(goal) == "one two"
+    assert Action(verb=Verb.TYPE, element=0).text(goal) == ""
+    assert Action(verb=Verb.CLICK, element=0).text(goal) == ""
+
+
+def test_leaves_are_the_rows_that_are_nobodys_parent_and_fields_take_text() -> None:
+    assert LONG.leaf.tolist() == [False, True, True, True, True]
+    assert LONG.typable.tolist() == [False, False, False, True, True]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"text": ("Ok",)},
+        {"ref": np.zeros(2, dtype=np.int32)},
+        {"box": np.zeros((3, 3), dtype=np.float32)},
+        {"parent": np.array([0, -1, -1], dtype=np.int16)},
+        {"parent": np.array([-1, 2, -1], dtype=np.int16)},
+    ],
+)
+def test_a_page_whose_columns_disagree_is_refused(change: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=r"Page\."):
+        replace(FLAT, **change)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"pages": ()}, "at least one step"),
+        ({"actions": (CLICK, CLICK)}, "actions has 2 steps"),
+        ({"rewards": np.zeros(3, dtype=np.float32)}, "rewards has 3 steps"),
+        ({"behaviour_logp": np.zeros(0, dtype=np.float32)}, "behaviour_logp has 0 steps"),
+        ({"actions": (replace(CLICK, element=3),)}, "element 3 of a page with 3"),
+        ({"actions": (Action(verb=Verb.DRAG, element=0, to=3),)}, "element 3 of a page with 3"),
+        ({"actions": (Action(verb=Verb.TYPE, element=0, start=0, end=3),)}, "goal with 3"),
+    ],
+)
+def test_a_trajectory_that_could_not_have_happened_is_refused(change: dict[str, object], why: str) -> None:
+    good = trajectory("Click Ok.", [FLAT], [CLICK])
+    with pytest.raises(ValueError, match=why):
+        replace(good, **change)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("fields", "why"),
+    [
+        ({"verb": Verb.CLICK, "literal": "x"}, "CLICK takes no 'literal', got 'x'"),
+        ({"verb": Verb.HOVER, "by": (1.0, 0.0)}, "HOVER takes no 'by'"),
+        ({"verb": Verb.SCROLL, "to": 1}, "SCROLL takes no 'to'"),
+        ({"verb": Verb.WAIT, "at": (1.0, 1.0)}, "WAIT takes no 'at'"),
+        ({"verb": Verb.CLICK, "element": -2}, "row -2"),
+        ({"verb": Verb.TYPE, "start": 2, "end": 1}, r"words 2\.\.1"),
+        ({"verb": Verb.TYPE, "start": 0, "end": 0, "literal": "x"}, "types both 'x' and words 0..0"),
+        ({"verb": Verb.CLICK, "at": (float("nan"), 0.0)}, "finite"),
+        ({"verb": Verb.PRESS}, "'' is no key"),
+        ({"verb": Verb.PRESS, "literal": "Ctrl+c"}, r"'Ctrl\+c' is no key: .* as in Control\+c"),
+        ({"verb": Verb.PRESS, "literal": "Control+"}, "is no key"),
+    ],
+)
+def test_an_action_that_says_what_its_verb_does_not_use_is_refused(fields: dict[str, object], why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        Action(**fields)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("keys", "modifiers", "key"),
+    [("a", 0, "a"), ("+", 0, "+"), ("Enter", 0, "Enter"), ("Control++", 2, "+"), ("Control+Shift+Tab", 10, "Tab")],
+)
+def test_a_chord_is_its_modifiers_and_its_key(keys: str, modifiers: int, key: str) -> None:
+    assert chord(keys) == (modifiers, key)
+
+
+def test_an_action_becomes_a_command_in_the_browsers_handles() -> None:
+    seen = Observation(episode=EpisodeSpec(task="t", seed=1), page=FLAT, goal=Goal("Drag it."))
+    drag = Action(verb=Verb.DRAG, element=0, to=2, at=(1.0, 2.0), by=(3.0, 4.0))
+    command = Command.of(drag, seen, last=True)
+    first, third = int(FLAT.ref[0]), int(FLAT.ref[2])
+    assert command == Command(verb=Verb.DRAG, ref=first, at=(1.0, 2.0), by=(3.0, 4.0), to=third, last=True)
+    assert Command.of(Action(verb=Verb.PRESS, literal="Enter"), seen) == Command(verb=Verb.PRESS, text="Enter")
+    assert Command.of(Action(verb=Verb.TYPE, element=1, start=1, end=1), seen).text == "it"
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        Action(verb=Verb.DRAG, element=0, to=1),
+        Action(verb=Verb.CLICK, at=(3.0, 3.0)),
+        Action(verb=Verb.CLICK, element=0, at=(3.0, 3.0)),
+        Action(verb=Verb.TYPE, element=0, literal="not in the goal"),
+    ],
+)
+def test_what_the_nets_cannot_express_is_no_demonstration_for_them(action: Action) -> None:
+    with pytest.raises(ValueError, match=r"step 1 is .*: the nets learn only clicks on rows and typing words"):
+        trajectory("Click Ok.", [FLAT, FLAT], [CLICK, action]).check_learned()
+    trajectory("Click Ok.", [FLAT, FLAT], [CLICK, CLICK]).check_learned()
+
+
+SEEDS = st.tuples(st.sampled_from(Purpose), st.integers(0, (1 << 16) - 1), st.integers(0, (1 << 32) - 1))
+
+
+@given(SEEDS, SEEDS)
+def test_two_page_seeds_agree_only_when_purpose_run_and_index_do(
+    one: tuple[Purpose, int, int], two: tuple[Purpose, int, int]
+) -> None:
+    assert (page_seed(*one) == page_seed(*two)) == (one == two)
+    assert 0 <= page_seed(*one) < 1 << 53
+
+
+@pytest.mark.parametrize(("run_seed", "index"), [(-1, 0), (1 << 16, 0), (0, -1), (0, 1 << 32)])
+def test_a_seed_that_would_run_into_another_purpose_is_refused(run_seed: int, index: int) -> None:
+    with pytest.raises(ValueError, match="out of range"):
+        page_seed(Purpose.TRAIN, run_seed, index)
+
+
+def test_only_full_reward_is_a_success() -> None:
+    assert Outcome(raw_reward=1.0, ended=True).success
+    assert not Outcome(raw_reward=0.999, ended=True).success
+
+
+def test_weights_that_changed_after_sealing_are_refused() -> None:
+    sealed = Weights.seal(3, b"abc")
+    sealed.check()
+    with pytest.raises(ValueError, match="version 3 are corrupt"):
+        replace(sealed, blob=b"abd").check()
+
+
+def test_rows_of_a_sample_page_are_what_they_say() -> None:
+    assert page("button:Ok: really").text == ("Ok: really",)

@@ -1,0 +1,107 @@
+"""Small pages, goals and nets that the tests of learning are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from actors.agents import ExpertChooser
+from actors.rollouts import Schedule, play
+from browser_farm.experts import expert
+from browser_farm.fake import TASKS, FakeFarm
+from giirl_core.config import NetConfig
+from giirl_core.metrics import Metrics
+from giirl_core.nets.features import Batch, collate, featurise
+from giirl_core.nets.language import Vectors, load_vectors
+from giirl_core.nets.models import Policy, RewardNet
+from giirl_core.types import Action, Episode, Goal, Page, Purpose, Trajectory, Verb
+
+WIDTH = 16
+
+
+def vectors() -> Vectors:
+    """The small table."""
+    return load_vectors("hashed")
+
+
+def page(*rows: str, value: Sequence[str] = (), parent: Sequence[int] = ()) -> Page:
+    """Rows given as "tag" or "tag:text"."""
+    count = len(rows)
+    tags, texts = zip(*(row.partition(":")[::2] for row in rows), strict=True)
+    return Page(
+        tag=tags,
+        text=texts,
+        value=tuple(value) or ("",) * count,
+        classes=("",) * count,
+        ref=np.arange(count, dtype=np.int32) + 7,
+        parent=np.array(parent or [-1] * count, dtype=np.int16),
+        box=np.arange(count * 4, dtype=np.float32).reshape(count, 4),
+        focused=np.zeros(count, dtype=np.bool_),
+        tampered=np.zeros(count, dtype=np.bool_),
+    )
+
+
+LONG = page("div", "t:some words", "button:Ok", "input_text", "textarea", parent=(-1, 0, 0, 0, 0))
+SHORT = page("button:ok", "input_text")
+FLAT = page("button:Ok", "button:ok", "button:Cancel")
+CASES = (
+    (LONG, Goal('Enter "Ada Lovelace" into the text field and press "Ok".')),
+    (SHORT, Goal("Type ok.")),
+    (FLAT, Goal('Click on the "Ok" button.')),
+)
+
+
+def batch_of(*cases: tuple[Page, Goal]) -> Batch:
+    """Pages under their goals, as tensors."""
+    return collate([featurise(shown, goal, vectors()) for shown, goal in cases])
+
+
+def policy(seed: int = 0) -> Policy:
+    """An untrained policy."""
+    torch.manual_seed(seed)
+    return Policy(vectors(), NetConfig(width=WIDTH))
+
+
+def reward_net(seed: int = 0) -> RewardNet:
+    """An untrained reward."""
+    torch.manual_seed(seed)
+    return RewardNet(vectors(), NetConfig(width=WIDTH))
+
+
+def legal_actions(shown: Page, goal: Goal) -> list[Action]:
+    """Every action that the page and the goal allow."""
+    words = len(goal.tokens)
+    clicks = [Action(verb=Verb.CLICK, element=e) for e in range(len(shown)) if shown.leaf[e]]
+    return clicks + [
+        Action(verb=Verb.TYPE, element=e, start=start, end=end)
+        for e in range(len(shown))
+        if shown.typable[e]
+        for start in range(words)
+        for end in range(start, words)
+    ]
+
+
+def trajectory(
+    goal: str, pages: Sequence[Page], actions: Sequence[Action], *, task: str = "some-task", seed: int = 0
+) -> Trajectory:
+    """A demonstration, unless its caller says otherwise."""
+    return Trajectory(
+        task=task,
+        goal=Goal(goal),
+        seed=seed,
+        pages=tuple(pages),
+        actions=tuple(actions),
+        behaviour_logp=np.zeros(len(pages), dtype=np.float32),
+        rewards=np.zeros(len(pages), dtype=np.float32),
+        policy_version=-1,
+    )
+
+
+def expert_episodes(per_task: int, tasks: Sequence[str] = tuple(TASKS), tabs: int = 4) -> list[Episode]:
+    """What the scripted experts do in the fake browser."""
+    browser = FakeFarm(tabs=tabs)
+    schedule = Schedule(tasks, tabs, purpose=Purpose.DEMONSTRATE, run_seed=0, quota=per_task)
+    rounds = play(browser, ExpertChooser(expert), schedule, step_limit=10, metrics=Metrics())
+    return [episode for ended in rounds for episode in ended]

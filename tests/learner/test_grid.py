@@ -1,0 +1,252 @@
+"""GIIRL in LanguageGridCraft: its equations, its samples, and Algorithm 1's own loop on a small grid."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from giirl.run.grid import learn, pairs_of
+from giirl_core.config import CloningConfig, Config, DiscriminatorConfig, GridConfig, NetConfig, PolicyConfig
+from giirl_core.nets.parameters import hash_nets
+from gridcraft.instructions import Pair
+from gridcraft.layouts import Layout, named_layout
+from gridcraft.planning import fraction, random_policy, solve
+from gridcraft.world import ACTIONS, HORIZON, build_world, observations, true_reward
+from learner.grid.learner import GridLearner, soft_target
+from learner.grid.nets import Sight, one_hot, policy_table, reward_table
+from learner.grid.steps import GridDemos, Steps, expert_steps
+
+SMALL = Config(
+    world="gridcraft",
+    iterations=3,
+    rollout_batch=4,
+    net=NetConfig(width=16),
+    discriminator=DiscriminatorConfig(updates=2, batch=32, clip=8.0, gradient_penalty=0.2, demo_states=0.0, rename=0.0),
+    policy=PolicyConfig(updates=3, gamma=0.95, entropy=0.1),
+    cloning=CloningConfig(batch=4),
+    grid=GridConfig(chance_episodes=10, demonstrations=2, batch=32, measure_every=1),
+)
+WORLD = build_world([named_layout("regions")])
+PAIRS = pairs_of(SMALL.grid)
+
+
+def with_grid(**changes: Any) -> Config:
+    return dataclasses.replace(SMALL, grid=dataclasses.replace(SMALL.grid, **changes))
+
+
+def with_discriminator(**changes: Any) -> Config:
+    return dataclasses.replace(SMALL, discriminator=dataclasses.replace(SMALL.discriminator, **changes))
+
+
+def test_the_soft_target_is_the_formula_written_naively() -> None:
+    reward, q = torch.tensor([0.5, -0.25]), torch.tensor([[0.1, 0.3, -0.2], [0.0, 0.0, 1.0]])
+    got = soft_target(reward, q, 0.9, 0.2)
+    for i in range(2):
+        soft_max = 0.2 * math.log(sum(math.exp(value / 0.2) for value in q[i].tolist()))
+        assert got[i].item() == pytest.approx(reward[i].item() + 0.9 * soft_max, rel=1e-5)
+
+
+def test_algorithm_1s_own_loop_runs_in_the_grid_and_tells_what_it_learned() -> None:
+    run = learn(SMALL)
+    assert [point["step"] for point in run.curve] == [1, 2, 3]
+    assert run.env_steps == (10 + 3 * 4) * HORIZON
+    assert {"d_loss", "d_accuracy_expert", "d_accuracy_chance", "p_loss", "p_reward"} <= set(run.curve[-1])
+    assert len(run.curve[-1]["returns"]) == len(PAIRS) == 6
+
+
+def test_the_seed_fixes_every_number_and_another_seed_changes_them() -> None:
+    one, same, other = (learn(dataclasses.replace(SMALL, seed=seed)) for seed in (100, 100, 101))
+    assert one.curve == same.curve
+    hashes = [hash_nets(*run.learner.nets().values()) for run in (one, same, other)]
+    assert hashes[0] == hashes[1] != hashes[2]
+
+
+@pytest.fixture(scope="module")
+def plain() -> str:
+    return hash_nets(*learn(SMALL).learner.nets().values())
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        with_discriminator(form="airl"),
+        with_grid(absorbing=True),
+        with_discriminator(slow="accuracy"),
+        with_grid(whole_map=True),
+        with_grid(sentences="all", order=1, neighbours=True),
+        with_discriminator(reward="d"),
+        with_discriminator(reward="log_d"),
+        with_discriminator(gradient_penalty=0.0, demo_states=0.5),
+        with_discriminator(rename=0.5),
+        with_discriminator(rollouts=1.0, replay=0.0, chance=0.0, wrong_goal=0.0),
+        dataclasses.replace(SMALL, algorithm="cloning"),
+    ],
+    ids=[
+        "airl",
+        "absorbing",
+        "accuracy",
+        "map",
+        "sentences",
+        "d",
+        "log_d",
+        "demo states",
+        "rename",
+        "plain",
+        "cloning",
+    ],
+)
+def test_every_option_of_the_study_changes_what_is_learned(plain: str, config: Config) -> None:
+    assert hash_nets(*learn(config).learner.nets().values()) != plain
+
+
+def test_demonstrations_stand_on_the_goal_in_the_end_and_never_on_what_is_avoided() -> None:
+    rng = np.random.default_rng(0)
+    steps = expert_steps(WORLD, [Pair("red", "blue")], [[4]], 20, 0.05, rng, None)
+    states = steps.state.reshape(20, HORIZON)
+    assert (WORLD.colour[states[:, -1]] == 1).all()
+    assert not (WORLD.colour[states] == 3).any()
+    assert (WORLD.next_state[steps.state, steps.action] == steps.following).all()
+    assert set(steps.goal.tolist()) == {4}
+
+
+def test_an_absorbing_episode_ends_in_a_state_that_it_does_not_leave() -> None:
+    end = len(WORLD)
+    steps = expert_steps(WORLD, [Pair("red", "blue")], [[0]], 3, 0.1, np.random.default_rng(0), end)
+    states, following = (x.reshape(3, HORIZON + 1) for x in (steps.state, steps.following))
+    assert (following[:, -2:] == end).all()
+    assert (states[:, -1] == end).all()
+    assert (states[:, :-1] < end).all()
+
+
+def test_a_wrong_goal_keeps_the_step_and_is_one_whose_experts_never_stand_there() -> None:
+    learner = GridLearner(with_grid(sentences="all"), WORLD, PAIRS)
+    expert = learner.demos.sample(50)
+    wrong = learner.demos.wrong_goals(expert)
+    assert 0 < len(wrong) < len(expert)
+    every = learner.demos.steps
+    shown = set(zip(every.state, every.action, every.following, strict=True))
+    assert shown >= set(zip(wrong.state, wrong.action, wrong.following, strict=True))
+    stood = set(zip(learner.meaning[every.goal], every.state, strict=True))
+    assert not stood & set(zip(learner.meaning[wrong.goal], wrong.state, strict=True))
+
+
+def test_where_only_one_thing_is_ever_meant_there_are_no_wrong_goals() -> None:
+    steps = expert_steps(WORLD, [Pair("red", "blue")], [[0]], 2, 0.1, np.random.default_rng(0), None)
+    demos = GridDemos(steps, HORIZON, np.array([0]), np.array([0]), np.random.default_rng(0))
+    assert len(demos.wrong_goals(steps)) == 0
+
+
+def test_samples_of_demonstrations_are_whole_episodes() -> None:
+    learner = GridLearner(SMALL, WORLD, PAIRS)
+    steps = learner.demos.sample(7)
+    states, following = (x.reshape(7, HORIZON) for x in (steps.state, steps.following))
+    assert (following[:, :-1] == states[:, 1:]).all()
+    assert (steps.goal.reshape(7, HORIZON) == steps.goal[::HORIZON, None]).all()
+
+
+def test_a_frozen_reward_is_enough_for_a_fresh_soft_q_learner() -> None:
+    config = dataclasses.replace(
+        SMALL, policy=dataclasses.replace(SMALL.policy, updates=400), grid=GridConfig(goals=("red-blue",))
+    )
+    world, pair = WORLD, Pair("red", "blue")
+    learner = GridLearner(config, world, [pair])
+    true = true_reward(world, pair)
+    frozen = torch.tensor(solve(world, true, temperature=0.0).q * 0.1, dtype=torch.float32)  # shaped already
+
+    def ask(steps: Steps) -> torch.Tensor:
+        return frozen[steps.state, steps.action]
+
+    rollouts = learner.demos.sample(4)
+    learner.policy.update(rollouts, ask(rollouts), ask)
+    got = policy_table(learner.policy.net, learner.sight, 0)
+    assert fraction(world, got, true) > 0.9 > fraction(world, random_policy(world), true)
+
+
+def test_the_discriminator_learns_to_pay_the_expert_more_than_chance() -> None:
+    config = with_discriminator(updates=150, learning_rate=3e-3)
+    learner = GridLearner(config, WORLD, PAIRS)
+    expert = learner.demos.sample(30)
+    chance = learner.discriminator._chance
+    learner.discriminator.update(expert, chance, learner.policy.net)
+    ask = learner.discriminator.ask
+    assert ask(expert).mean() > 0.5 > -0.5 > ask(chance).mean()
+
+
+def test_tables_are_what_the_nets_say_state_by_state() -> None:
+    learner = GridLearner(SMALL, WORLD, PAIRS)
+    table = reward_table(learner.discriminator.net, learner.sight, 2, "logit", 8.0)
+    pi = policy_table(learner.policy.net, learner.sight, 2)
+    for state, action in ((0, 0), (17, 3), (len(WORLD) - 1, 4)):
+        where, what = np.array([state]), np.array([action])
+        seen = learner.sight(where, np.array([2]))
+        assert table[state, action] == pytest.approx(learner.discriminator.net(seen, one_hot(what)).item(), abs=1e-5)
+        assert np.log(pi[state]) == pytest.approx(
+            learner.policy.net.log_policy(learner.sight.wide(where, np.array([2])))[0].tolist(), abs=1e-4
+        )
+    assert pi.shape == (len(WORLD), len(ACTIONS))
+
+
+def test_airls_reward_leaves_the_shaping_out_and_its_logit_does_not() -> None:
+    learner = GridLearner(with_discriminator(form="airl"), WORLD, PAIRS)
+    steps, d = learner.demos.sample(1), learner.discriminator
+    seen = learner.sight(steps.state, steps.goal)
+    got = d._shaping(steps, seen, learner.policy.net)
+    h, after = d.potential(seen), d.potential(learner.sight(steps.following, steps.goal))
+    logp = learner.policy.net.log_policy(learner.sight.wide(steps.state, steps.goal))
+    for i in range(len(steps)):
+        assert got[i].item() == pytest.approx((0.95 * after[i] - h[i] - logp[i, steps.action[i]]).item(), abs=1e-5)
+    assert torch.equal(d.ask(steps), d.net(seen, one_hot(steps.action)).clamp(-8, 8))
+
+
+def test_sentences_are_told_apart_by_the_order_of_their_words_only_in_pairs_of_words() -> None:
+    texts = ["Go to Red. Avoid Blue.", "Go to Blue. Avoid Red."]
+    for order, alike in ((1, True), (2, False)):
+        learner = GridLearner(with_grid(order=order), WORLD, PAIRS)
+        goals = Sight(WORLD, texts, learner.bag, learner.config.grid).goals
+        assert torch.equal(goals[0], goals[1]) == alike
+
+
+def test_renamed_colours_are_another_layout_of_the_same_shape_with_the_sentence_to_match() -> None:
+    config = with_grid(neighbours=True)
+    sight = GridLearner(config, WORLD, PAIRS).sight
+    states, goals = sight.renamings
+    assert torch.equal(states[0], sight.states)
+    assert torch.equal(goals[0], sight.goals)
+    order = list(itertools.permutations(("red", "green", "blue")))
+    swap = order.index(("green", "red", "blue"))
+    cells = WORLD.layouts[0].cells
+    other = build_world([Layout(name="swapped", cells=np.array([0, 2, 1, 3], dtype=np.int8)[cells])])
+    assert torch.equal(states[swap][:-1], torch.tensor(observations(other)))
+    there = [
+        PAIRS.index(Pair(*("red" if c == "green" else "green" if c == "red" else c for c in pair)))
+        for pair in ((p.goal, p.avoid) for p in PAIRS)
+    ]
+    assert torch.equal(goals[swap], sight.goals[there])
+
+
+def test_a_discriminator_that_renames_shows_the_net_the_same_steps_in_other_colours() -> None:
+    learner = GridLearner(with_discriminator(rename=1.0), WORLD, PAIRS)
+    steps = learner.demos.sample(20)
+    plain, seen = learner.sight(steps.state, steps.goal), learner.discriminator._see(steps)
+    assert seen.shape == plain.shape
+    assert not torch.equal(seen, plain)
+    assert torch.allclose(seen.sum(dim=1), plain.sum(dim=1))
+
+
+def test_q_learning_asks_for_the_reward_of_a_step_under_every_sentence() -> None:
+    learner = GridLearner(SMALL, WORLD, PAIRS)
+    asked: list[Steps] = []
+
+    def ask(steps: Steps) -> torch.Tensor:
+        asked.append(steps)
+        return torch.zeros(len(steps))
+
+    rollouts = learner.demos.sample(4).under(np.zeros(4 * HORIZON, dtype=np.int64))
+    learner.policy.update(rollouts, torch.zeros(len(rollouts)), ask)
+    assert set(asked[0].goal.tolist()) == set(range(len(PAIRS)))

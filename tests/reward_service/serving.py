@@ -1,0 +1,81 @@
+"""A reward service that runs beside a test, and patience with it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from actors.uplink import Uplink
+from giirl_core.metrics import Metrics
+from giirl_core.types import Trajectory, Weights
+from giirl_core.wire import messages as wire
+from giirl_core.wire import scoring
+from giirl_core.wire.score_client import ScoreClient
+from giirl_core.wire.transport import Router
+from reward_service.service import RewardService, Scorer
+from tests.giirl_core.wire_examples import episode
+
+WAIT_S = 20.0
+T = TypeVar("T")
+Rewards = NDArray[np.float32]
+
+
+def load(weights: Weights) -> Scorer:
+    """A reward that is the number in the blob, for every step."""
+    if not weights.blob.isdigit():
+        raise ValueError(f"{weights.blob!r} is no number")
+    number = float(weights.blob)
+    return lambda trajectories: [np.full(len(t), number, np.float32) for t in trajectories]
+
+
+def trajectory(steps: int = 2) -> Trajectory:
+    return episode(steps).trajectory
+
+
+@contextmanager
+def serving(service: RewardService) -> Iterator[RewardService]:
+    stop = threading.Event()
+    thread = threading.Thread(target=service.serve, args=(stop.is_set,))
+    thread.start()
+    try:
+        yield service
+    finally:
+        stop.set()
+        thread.join(WAIT_S)
+        assert not thread.is_alive()
+
+
+def counted(metrics: Metrics, result: str) -> float:
+    return metrics.registry.get_sample_value("giirl_scoring_requests_total", {"result": result}) or 0.0
+
+
+def settled(client: ScoreClient, wanted: int = 1) -> list[tuple[object, Rewards | None, int]]:
+    found: list[tuple[object, Rewards | None, int]] = []
+    deadline_s = time.monotonic() + WAIT_S
+    while len(found) < wanted and time.monotonic() < deadline_s:
+        found += client.poll()
+        time.sleep(0.002)
+    return found
+
+
+def asked(client: ScoreClient, router: Router) -> tuple[bytes, int]:
+    """Who asked the router, which stands in for a replica, and the number of the question."""
+    peer, message = until(lambda: router.recv(0.0) if not client.poll() else None)
+    return peer, scoring.read_request(wire.decode(message)[0])
+
+
+def until(condition: Callable[[], T | None], *lines: Uplink) -> T:
+    """What it gives once it is something; meanwhile actors go on."""
+    deadline_s = time.monotonic() + WAIT_S
+    while not (found := condition()):
+        for line in lines:
+            line.poll()
+        assert time.monotonic() < deadline_s
+        time.sleep(0.002)
+    return found

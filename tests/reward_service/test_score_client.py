@@ -1,0 +1,185 @@
+"""Asking the reward service over real sockets: answers, retries, and when asking is given up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import closing
+from functools import partial
+
+import numpy as np
+import pytest
+
+from giirl_core.types import Trajectory, Weights
+from giirl_core.wire import messages as wire
+from giirl_core.wire import scoring
+from giirl_core.wire.score_client import ScoreClient
+from giirl_core.wire.scoring import ScoreReply
+from giirl_core.wire.transport import Router
+from reward_service.service import RewardService, Scorer, ServiceLimits
+from tests.giirl_core.wire_examples import assert_same_trajectory
+from tests.reward_service.serving import WAIT_S, Rewards, asked, load, serving, settled, trajectory, until
+
+
+def test_rewards_come_back_with_the_version_that_gave_them() -> None:
+    with serving(RewardService(load)) as service:
+        service.set_weights(Weights.seal(4, b"7"))
+        with closing(ScoreClient([service.address], identity="a")) as client:
+            rewards, version = client.score([trajectory(2), trajectory(5)])
+            assert [part.tolist() for part in rewards] == [[7.0] * 2, [7.0] * 5]
+            assert version == 4
+
+
+def test_a_client_that_goes_on_meanwhile_gets_each_answer_under_its_own_key() -> None:
+    with serving(RewardService(load)) as service:
+        service.set_weights(Weights.seal(0, b"1"))
+        with closing(ScoreClient([service.address], identity="a")) as client:
+            for steps in range(1, 20):
+                client.submit(("episode", steps), trajectory(steps))
+            answers = settled(client, 19)
+            assert {key: len(r) for key, r, _ in answers if r is not None} == {("episode", n): n for n in range(1, 20)}
+            assert client.pending == 0
+
+
+def test_the_scorer_sees_what_was_asked_about() -> None:
+    seen: list[Trajectory] = []
+
+    def load_spy(_: Weights) -> Scorer:
+        def score(trajectories: Sequence[Trajectory]) -> list[Rewards]:
+            seen.extend(trajectories)
+            return [np.zeros(len(t), np.float32) for t in trajectories]
+
+        return score
+
+    with serving(RewardService(load_spy)) as service:
+        service.set_weights(Weights.seal(0, b""))
+        with closing(ScoreClient([service.address], identity="a")) as client:
+            client.score([trajectory(3)])
+    assert_same_trajectory(seen[0], trajectory(3))
+
+
+def test_an_overloaded_service_is_asked_again() -> None:
+    limits = ServiceLimits(max_queue=1, max_batch_steps=1)
+    with serving(RewardService(load, limits=limits)) as service:
+        service.set_weights(Weights.seal(0, b"1"))
+        with closing(ScoreClient([service.address], identity="a", timeout_s=WAIT_S)) as client:
+            for key in range(20):
+                client.submit(key, trajectory(1))
+            answers = settled(client, 20)
+    assert {key for key, rewards, _ in answers if rewards is not None} == set(range(20))
+
+
+def test_a_service_started_anew_on_its_port_answers_what_the_old_one_did_not() -> None:
+    first = RewardService(load)
+    port = int(first.address.rpartition(":")[2])
+    with closing(ScoreClient([first.address], identity="a", timeout_s=0.3, retries=60)) as client:
+        with serving(first):
+            first.set_weights(Weights.seal(0, b"1"))
+            assert client.score([trajectory(1)])[1] == 0
+        client.submit("k", trajectory(1))
+        assert client.poll() == []
+        second = RewardService(load, port=port)
+        second.set_weights(Weights.seal(1, b"2"))
+        with serving(second):
+            ((key, rewards, version),) = settled(client)
+    assert (key, version) == ("k", 1)
+    assert rewards is not None
+    assert rewards.tolist() == [2.0]
+
+
+def test_a_client_gives_up_on_a_service_that_is_not_there() -> None:
+    with closing(ScoreClient(["127.0.0.1:1"], identity="a", timeout_s=0.02, retries=1)) as client:
+        client.submit("k", trajectory())
+        assert client.pending == 1
+        assert settled(client) == [("k", None, -1)]
+        assert client.pending == 0
+        with pytest.raises(TimeoutError, match=r"127\.0\.0\.1:1 gave no rewards .*no connection"):
+            client.score([trajectory()])
+
+
+def test_a_question_whose_answer_got_lost_is_asked_again_as_the_same_question() -> None:
+    client_of = partial(ScoreClient, identity="a", timeout_s=0.5, retries=2)
+    with closing(Router()) as router, closing(client_of([router.address])) as client:
+        client.submit("k", trajectory(1))
+        asked: list[int] = []
+        answers: list[tuple[object, Rewards | None, int]] = []
+
+        def hear() -> bool:
+            if (message := router.recv(0.005)) is not None:
+                asked.append(scoring.read_request(wire.decode(message[1])[0]))
+            answers.extend(client.poll())
+            return bool(answers)
+
+        until(hear)
+        assert asked == [asked[0]] * 3
+        assert answers == [("k", None, -1)]
+
+
+def test_a_late_or_repeated_answer_is_a_stray_and_not_another_answer() -> None:
+    with closing(Router()) as router, closing(ScoreClient([router.address], identity="a")) as client:
+        client.submit("k", trajectory(1))
+        peer, number = asked(client, router)
+        reply = ScoreReply(request=number, rewards=(np.ones(1, np.float32),), version=2)
+        for message in (scoring.encode_reply(reply), scoring.encode_reply(reply), b"junk"):
+            assert router.send(peer, message)
+        answers = settled(client)
+        until(lambda: not client.poll() and client.strays == 2)
+    assert [(key, version) for key, _, version in answers] == [("k", 2)]
+
+
+def test_of_two_replicas_the_one_with_less_to_do_is_asked_more() -> None:
+    with closing(Router()) as silent, closing(Router()) as quick:
+        heard = {silent: 0, quick: 0}
+        client = ScoreClient([silent.address, quick.address], identity="a", timeout_s=WAIT_S)
+
+        def heard_by_now() -> int:
+            client.poll()
+            for router in heard:
+                while (message := router.recv(0.0)) is not None:
+                    heard[router] += 1
+                    number = scoring.read_request(wire.decode(message[1])[0])
+                    reply = ScoreReply(request=number, rewards=(np.ones(1, np.float32),), version=2, backlog=1)
+                    if router is quick:
+                        assert router.send(message[0], scoring.encode_reply(reply))
+            return sum(heard.values())
+
+        with closing(client):
+            for key in range(20):
+                client.submit(key, trajectory(1))
+                until(lambda wanted=key + 1: heard_by_now() == wanted)  # type: ignore[misc]
+    assert 1 <= heard[silent] <= 3
+
+
+def test_when_a_replica_dies_its_questions_go_to_the_other() -> None:
+    with closing(Router()) as dead, serving(RewardService(load)) as alive:
+        alive.set_weights(Weights.seal(3, b"4"))
+        client = ScoreClient([dead.address, alive.address], identity="a", timeout_s=0.3, retries=20)
+        with closing(client):
+            for key in range(10):
+                client.submit(key, trajectory(1))
+            answers = settled(client, 10)
+    assert {key: version for key, _, version in answers} == dict.fromkeys(range(10), 3)
+
+
+def test_replicas_that_left_and_came_are_followed() -> None:
+    with closing(Router()) as gone, serving(RewardService(load)) as new:
+        new.set_weights(Weights.seal(3, b"4"))
+        with closing(ScoreClient([], identity="a", timeout_s=WAIT_S)) as client:
+            client.submit("early", trajectory(1))  # nobody is there yet: it waits
+            assert client.poll() == []
+            client.follow([gone.address])
+            asked(client, gone)
+            client.follow([new.address])
+            ((key, _, version),) = settled(client)
+    assert (key, version) == ("early", 3)
+
+
+def test_a_replica_that_is_overloaded_rests_while_another_answers() -> None:
+    with closing(Router()) as busy, serving(RewardService(load)) as free:
+        free.set_weights(Weights.seal(3, b"4"))
+        with closing(ScoreClient([busy.address], identity="a", timeout_s=WAIT_S)) as client:
+            client.submit("k", trajectory(1))
+            peer, number = asked(client, busy)
+            client.follow([busy.address, free.address])
+            assert busy.send(peer, scoring.encode_reply(ScoreReply(request=number, error=scoring.OVERLOADED)))
+            ((key, _, version),) = settled(client)
+    assert (key, version) == ("k", 3)
