@@ -20,7 +20,7 @@ class Replaced(RuntimeError):
     """A newer incarnation of this actor has taken over."""
 
 
-def tallied(path: Path) -> Before:
+def read_counts(path: Path) -> Before:
     """What the file of an actor that may be at work says: incarnations, and how much each finished."""
     return tuple(sorted(dict(_entries(path.read_bytes())).items())) if path.exists() else ()
 
@@ -29,7 +29,7 @@ def _entries(whole: bytes) -> Iterator[tuple[int, int]]:
     return ENTRY.iter_unpack(whole[: len(whole) // ENTRY.size * ENTRY.size])
 
 
-class Tally:
+class EpisodeCounter:
     """Entries in the order of their incarnations, the last of them ours, each change under a lock on the file.
 
     Killing a process loses nothing that was written; only the machine's own death does. A replaced incarnation can

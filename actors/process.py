@@ -7,9 +7,9 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
-from actors.agents import NetChooser
+from actors.agents import PolicyAgent
 from actors.browser import open_browser
-from actors.episode_counter import Tally
+from actors.episode_counter import EpisodeCounter
 from actors.rollouts import Schedule
 from actors.uplink import Uplink, UplinkLimits
 from actors.worker import Orphaned, Worker, WorkerLimits
@@ -39,11 +39,11 @@ class ActorProcess(WorkerProcess):
     def run(self, incarnation: int, first: int, learner: str, scorers: tuple[str, ...], weights: Weights) -> None:
         """Play pages from index `first` on, until stopped."""
         config, metrics, name = self._config, self._metrics, f"actor-{self._index}"
-        chooser = NetChooser(build_policy(config), load_vectors(config.net.vectors))
+        chooser = PolicyAgent(build_policy(config), load_vectors(config.net.vectors))
         chooser.load(weights)
         self._newest = weights
         with ExitStack() as open_things:
-            tally = Tally(self._tally, incarnation)
+            tally = EpisodeCounter(self._tally, incarnation)
             open_things.callback(tally.close)
             browser = open_browser(config, metrics)
             open_things.callback(browser.close)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from actors.agents import Choice, Chooser
+from actors.agents import Agent, Decision
 from giirl_core.metrics import Metrics, waiting
 from giirl_core.types import (
     Action,
@@ -85,7 +85,7 @@ class Slot:
 
     seen: Observation
     following: EpisodeSpec | None
-    draw: np.random.Generator
+    rng: np.random.Generator
     pages: list[Page] = field(default_factory=list)
     actions: list[Action] = field(default_factory=list)
     logp: list[float] = field(default_factory=list)
@@ -93,7 +93,7 @@ class Slot:
 
 
 def play(
-    browser: Browser, chooser: Chooser, schedule: Schedule, *, step_limit: int, metrics: Metrics
+    browser: Browser, chooser: Agent, schedule: Schedule, *, step_limit: int, metrics: Metrics
 ) -> Iterator[list[Episode]]:
     """Play until the schedule ends; yields after every round the episodes that ended in it, often none.
 
@@ -132,22 +132,22 @@ def play(
 
 
 def _open(seen: Observation, schedule: Schedule, tab: int) -> Slot:
-    return Slot(seen=seen, following=schedule.next(tab), draw=np.random.default_rng([seen.episode.seed, 1]))
+    return Slot(seen=seen, following=schedule.next(tab), rng=np.random.default_rng([seen.episode.seed, 1]))
 
 
-def _commands(slots: Mapping[int, Slot], chooser: Chooser, step_limit: int) -> dict[int, Command]:
+def _commands(slots: Mapping[int, Slot], chooser: Agent, step_limit: int) -> dict[int, Command]:
     """A batched choice for all tabs. A page with nothing to act on ends its episode."""
     commands = {tab: Command(verb=Verb.WAIT, last=True, following=slot.following) for tab, slot in slots.items()}
     playable = {tab: slot for tab, slot in slots.items() if slot.seen.page.leaf.any()}
     if playable:
-        uniform = np.stack([slot.draw.random(3, dtype=np.float32) for slot in playable.values()])
+        uniform = np.stack([slot.rng.random(3, dtype=np.float32) for slot in playable.values()])
         choices = chooser([slot.seen for slot in playable.values()], uniform)
         for (tab, slot), choice in zip(playable.items(), choices, strict=True):
             commands[tab] = _command(slot, choice, step_limit)
     return commands
 
 
-def _command(slot: Slot, choice: Choice, step_limit: int) -> Command:
+def _command(slot: Slot, choice: Decision, step_limit: int) -> Command:
     """Note the choice in the slot and say it in the browser's words."""
     page, action = slot.seen.page, choice.action
     slot.pages.append(page)

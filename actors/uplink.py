@@ -6,7 +6,7 @@ import logging
 import time
 from dataclasses import dataclass, replace
 
-from actors.episode_counter import Replaced, Tally
+from actors.episode_counter import EpisodeCounter, Replaced
 from giirl_core.types import Episode
 from giirl_core.wire import delivery
 from giirl_core.wire import messages as wire
@@ -27,7 +27,7 @@ class Refused(RuntimeError):
 class UplinkLimits:
     """How much is kept, and how patiently."""
 
-    pause_at: int = 8  # episodes not yet judged by the learner: then the actor should stop playing
+    pause_at: int = 8  # episodes not yet acked by the learner: then the actor should stop playing
     max_kept_bytes: int = 64 << 20  # of copies that no checkpoint covers yet: then, too
     beat_s: float = 1.0
     hello_s: float = 0.5  # between attempts to be known
@@ -53,15 +53,15 @@ class Uplink:
         run: str,
         actor: str,
         incarnation: int,
-        tally: Tally,
+        tally: EpisodeCounter,
         limits: UplinkLimits | None = None,
         keys: Keys | None = None,
     ) -> None:
         self._stamp = Stamp(run=run, actor=actor, incarnation=incarnation, sequence=0)
         self._tally, self._keys = tally, keys
         self._limits = limits or UplinkLimits()
-        self._waiting: dict[int, _Copy] = {}  # not judged yet, in order of sequence
-        self._judged: dict[int, _Copy] = {}  # judged, but in no checkpoint
+        self._waiting: dict[int, _Copy] = {}  # not acked yet, in order of sequence
+        self._acked: dict[int, _Copy] = {}  # acked, but in no checkpoint
         self._kept_bytes = 0
         self._committed = 0
         self._finished = 0
@@ -72,17 +72,17 @@ class Uplink:
     @property
     def ready(self) -> bool:
         """Whether to go on playing."""
-        return self.unjudged < self._limits.pause_at and self._kept_bytes < self._limits.max_kept_bytes
+        return self.unacked < self._limits.pause_at and self._kept_bytes < self._limits.max_kept_bytes
 
     @property
-    def unjudged(self) -> int:
+    def unacked(self) -> int:
         """Episodes the learner has not yet taken in or dropped."""
         return len(self._waiting)
 
     @property
     def kept(self) -> int:
         """Episodes the learner may still ask for again."""
-        return len(self._waiting) + len(self._judged)
+        return len(self._waiting) + len(self._acked)
 
     @property
     def silent_for_s(self) -> float:
@@ -109,13 +109,13 @@ class Uplink:
         self._speak()
 
     def flush(self, timeout_s: float) -> bool:
-        """Wait until the learner has judged every episode; False when it has not in time."""
+        """Wait until the learner has acked every episode; False when it has not in time."""
         return self._outlast(self._waiting, timeout_s)
 
     def settle(self, timeout_s: float) -> bool:
         """Ask for a checkpoint, and wait until it covers everything: then this actor may go for good."""
         self._leaving = True
-        return self.flush(timeout_s) and self._outlast(self._judged, timeout_s)
+        return self.flush(timeout_s) and self._outlast(self._acked, timeout_s)
 
     def redirect(self, address: str) -> None:
         """The learner came back elsewhere: offer it what no checkpoint covers."""
@@ -123,7 +123,7 @@ class Uplink:
         self._connect(address)
 
     def close(self) -> None:
-        """Say good-bye and end the connection. What has not been judged is lost, and the learner counts it."""
+        """Say good-bye and end the connection. What has not been acked is lost, and the learner counts it."""
         if self._known:
             self._tell(delivery.BYE)
         self._dealer.close()
@@ -135,12 +135,12 @@ class Uplink:
         self._begin()
 
     def _begin(self) -> None:
-        """This learner knows nothing of us, and we nothing of what it has judged."""
+        """This learner knows nothing of us, and we nothing of what it has acked."""
         self._known, self._limit = False, 0
         self._hailed = self._notices  # grants that answer earlier notices are of another learner
         self._told_s = self._said_s = self._cut_until_s = float("-inf")
-        kept = sorted({**self._judged, **self._waiting}.items())
-        self._judged.clear()
+        kept = sorted({**self._acked, **self._waiting}.items())
+        self._acked.clear()
         self._waiting.clear()
         for sequence, copy in kept:
             copy.after = None
@@ -163,23 +163,23 @@ class Uplink:
                     f"the learner refuses actor {known.actor!r}, incarnation {known.incarnation}, "
                     f"of run {known.run!r}: {header.get('reason')!r:.80}"
                 )
-            if kind == delivery.WHO and self._known:
+            if kind == delivery.UNKNOWN_ACTOR and self._known:
                 self._begin()
             if grant is not None and grant.incarnation == self._stamp.incarnation and grant.notice > self._hailed:
                 self._follow(grant)
 
     def _follow(self, grant: Grant) -> None:
         self._known, self._limit = True, grant.limit
-        judged = set(grant.judged)
+        acked = set(grant.acked)
         for sequence, copy in list(self._waiting.items()):
-            if sequence < grant.floor or sequence in judged:
-                self._judged[sequence] = self._waiting.pop(sequence)
+            if sequence < grant.low_watermark or sequence in acked:
+                self._acked[sequence] = self._waiting.pop(sequence)
             elif copy.after is not None and copy.after < grant.notice:
                 copy.after = None  # said after it and heard before it: it was lost, or came above the limit
         if grant.committed > self._committed:
             self._committed = grant.committed
-            for sequence in [sequence for sequence in self._judged if sequence < grant.committed]:
-                self._kept_bytes -= len(self._judged.pop(sequence).message)
+            for sequence in [sequence for sequence in self._acked if sequence < grant.committed]:
+                self._kept_bytes -= len(self._acked.pop(sequence).message)
         try:
             self._tally.settle(grant.settled)
         except Replaced as error:
@@ -194,7 +194,7 @@ class Uplink:
             if now_s - self._told_s >= self._limits.hello_s:
                 self._tell(delivery.HELLO)
         elif now_s - (self._told_s if in_flight else self._said_s) >= self._limits.beat_s:
-            self._tell(delivery.BEAT)
+            self._tell(delivery.HEARTBEAT)
         for sequence, copy in self._waiting.items():
             if sequence >= self._limit:
                 break
@@ -206,7 +206,7 @@ class Uplink:
     def _tell(self, kind: str) -> None:
         notice = Notice(
             kind=kind,
-            stamp=replace(self._stamp, sequence=min([self._finished, *self._waiting, *self._judged])),
+            stamp=replace(self._stamp, sequence=min([self._finished, *self._waiting, *self._acked])),
             number=self._notices + 1,
             finished=self._finished,
             full=self._leaving or 2 * self._kept_bytes >= self._limits.max_kept_bytes,

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from actors.agents import NetChooser
+from actors.agents import PolicyAgent
 from actors.rollouts import Schedule, play
 from actors.uplink import Refused, Uplink
 from giirl_core.metrics import Metrics, waiting
@@ -42,7 +42,7 @@ class Worker:
     def __init__(
         self,
         browser: Browser,
-        chooser: NetChooser,
+        chooser: PolicyAgent,
         schedule: Callable[[int], Schedule],
         scorer: ScoreClient,
         uplink: Uplink,

@@ -27,9 +27,9 @@ from miniwob.environment import MiniWoBEnvironment
 from miniwob.fields import get_field_extractor
 
 from browser_farm import tasks as miniwob
-from browser_farm.gym.adapter import Package
+from browser_farm.gym.adapter import MiniWoBAdapter
 from browser_farm.gym.env import MiniWoB
-from browser_farm.gym.slot import Place
+from browser_farm.gym.slot import EnvSlot
 
 ELEMENT_ACTIONS = ("NONE", "CLICK_ELEMENT", "FOCUS_ELEMENT_AND_TYPE_TEXT", "FOCUS_ELEMENT_AND_TYPE_FIELD", "TYPE_TEXT")
 HAND_ACTIONS = ("CLICK_COORDS", "DBLCLICK_COORDS", "MOVE_COORDS", "SCROLL_DOWN_COORDS", "PRESS_KEY")
@@ -76,8 +76,8 @@ class Reference:
 
 def move(env: MiniWoB, task: str) -> MiniWoB:
     """Our environment likewise: all tasks in one tab."""
-    env.package = Package.of(task)
-    env._place = Place(env.package)
+    env.package = MiniWoBAdapter.of(task)
+    env._place = EnvSlot(env.package)
     return env
 
 
@@ -108,14 +108,14 @@ def _short(value: Any) -> str:
     return repr(value)[:80]
 
 
-def draw_action(env: MiniWoB, observed: dict[str, Any], kinds: tuple[str, ...], draw: np.random.Generator) -> Any:
+def draw_action(env: MiniWoB, observed: dict[str, Any], kinds: tuple[str, ...], rng: np.random.Generator) -> Any:
     """An action on something that the page shows."""
-    kind = str(draw.choice(kinds))
+    kind = str(rng.choice(kinds))
     elements = [each for each in observed["dom_elements"] if each["ref"] > 0]
     leaves = [each for each in elements if each["flags"][3]] or elements
     fields = [each for each in elements if each["tag"].startswith(("input_text", "input_password", "textarea"))]
-    chosen = (fields if "TYPE" in kind and fields and draw.random() < 0.8 else leaves)[0:]
-    element = chosen[int(draw.integers(len(chosen)))]
+    chosen = (fields if "TYPE" in kind and fields and rng.random() < 0.8 else leaves)[0:]
+    element = chosen[int(rng.integers(len(chosen)))]
     words = [word for word in observed["utterance"].replace('"', "").split() if word.isascii()]
     values = {
         "ref": element["ref"],
@@ -126,9 +126,9 @@ def draw_action(env: MiniWoB, observed: dict[str, Any], kinds: tuple[str, ...], 
             ],
             dtype=np.float32,
         ),
-        "text": str(draw.choice(words or ["word"])),
+        "text": str(rng.choice(words or ["word"])),
         "field": 0,
-        "key": env.action_space_config.allowed_keys.index(str(draw.choice(KEYS))),
+        "key": env.action_space_config.allowed_keys.index(str(rng.choice(KEYS))),
     }
     return kind, env.create_action(kind, **values)
 
@@ -147,7 +147,7 @@ def compare_task(
     """Play one task in both; add to the tally."""
     theirs = reference.show(task)
     for seed in seeds:
-        draw = np.random.default_rng(seed)
+        rng = np.random.default_rng(seed)
         options = {"record_screenshots": screenshots}
         one, _ = ours.reset(seed=seed, options=options)
         other, _ = theirs.reset(seed=seed, options=options)
@@ -164,7 +164,7 @@ def compare_task(
             if over or step == steps:
                 tally.ends += over
                 break
-            kind, action = draw_action(ours, other, kinds, draw)
+            kind, action = draw_action(ours, other, kinds, rng)
             tally.actions[kind] += 1
             place = f"{task} seed {seed} step {step} {kind}"
             one, _, done, _, info = ours.step(action)

@@ -27,8 +27,8 @@ BEAT_S = 0.5
 
 def model(steps: int, rows: int, *, seed: int) -> Episode:
     """An episode on pages like real ones: short words that repeat, a few classes, boxes everywhere."""
-    draw = np.random.default_rng(seed)
-    pages = [_page(draw, rows) for _ in range(steps)]
+    rng = np.random.default_rng(seed)
+    pages = [_page(rng, rows) for _ in range(steps)]
     trajectory = Trajectory(
         task="click-button",
         goal=Goal('Click on the "Ok" button.'),
@@ -42,15 +42,15 @@ def model(steps: int, rows: int, *, seed: int) -> Episode:
     return Episode(trajectory=trajectory, outcome=Outcome(raw_reward=1.0, ended=True))
 
 
-def _page(draw: np.random.Generator, rows: int) -> Page:
+def _page(rng: np.random.Generator, rows: int) -> Page:
     return Page(
-        tag=tuple(("div", "button", "input_text", "t")[n] for n in draw.integers(4, size=rows)),
-        text=tuple(f"word {n}" for n in draw.integers(60, size=rows)),
+        tag=tuple(("div", "button", "input_text", "t")[n] for n in rng.integers(4, size=rows)),
+        text=tuple(f"word {n}" for n in rng.integers(60, size=rows)),
         value=("",) * rows,
-        classes=tuple(f"kind-{n} wide" for n in draw.integers(5, size=rows)),
+        classes=tuple(f"kind-{n} wide" for n in rng.integers(5, size=rows)),
         ref=np.arange(rows, dtype=np.int32),
         parent=np.arange(-1, rows - 1, dtype=np.int16),
-        box=draw.random((rows, 4), dtype=np.float32),
+        box=rng.random((rows, 4), dtype=np.float32),
         focused=np.zeros(rows, np.bool_),
         tampered=np.zeros(rows, np.bool_),
     )

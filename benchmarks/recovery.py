@@ -23,8 +23,8 @@ from typing import Any
 
 import psutil
 
-from actors.episode_counter import tallied
-from giirl_core.files import whole_file
+from actors.episode_counter import read_counts
+from giirl_core.files import atomic_write
 from giirl_core.processes.supervision import CRASHES
 from giirl_core.progress import Display, Job
 from learner.checkpoint import latest_checkpoint
@@ -37,7 +37,7 @@ WORDS = (
     "checkpoint_every=10",
     "scoring.replicas=2",
     "demos.per_task=8",
-    "actors.silence_s=20.0",
+    "actors.heartbeat_timeout_s=20.0",
 )
 START_S = 200.0
 LOOK_S = 0.05  # a look costs milliseconds of the cores that recover
@@ -100,7 +100,7 @@ def settle(learner: Command, run: Path, job: Job) -> None:
 
 def newest(tally: Path) -> tuple[int, int]:
     """The last incarnation of an actor, and how much it has finished."""
-    return tallied(tally)[-1]
+    return read_counts(tally)[-1]
 
 
 def serves(replica: psutil.Process) -> bool:
@@ -129,7 +129,7 @@ def main() -> None:
     arguments = parser.parse_args()
     result = {"recovery": measure(arguments.times, Display())}
     if arguments.json:
-        with whole_file(arguments.json) as file:
+        with atomic_write(arguments.json) as file:
             file.write(json.dumps(result, indent=2).encode() + b"\n")
     print(json.dumps(result, indent=2))  # noqa: T201
 

@@ -37,40 +37,40 @@ class Tab:
     boxes: np.ndarray[tuple[int, int], np.dtype[np.float32]] | None = None
 
 
-def _click_test(draw: np.random.Generator) -> tuple[str, list[Row], str]:
+def _click_test(rng: np.random.Generator) -> tuple[str, list[Row], str]:
     return "Click the button.", [Row("button", "Click Me!", reward=1.0)], ""
 
 
-def _click_test_2(draw: np.random.Generator) -> tuple[str, list[Row], str]:
+def _click_test_2(rng: np.random.Generator) -> tuple[str, list[Row], str]:
     return "Click button ONE.", [Row("button", "ONE", reward=1.0), Row("button", "TWO", reward=-1.0)], ""
 
 
-def _click_button(draw: np.random.Generator) -> tuple[str, list[Row], str]:
-    rows = [_filler(draw) for _ in range(6)]
+def _click_button(rng: np.random.Generator) -> tuple[str, list[Row], str]:
+    rows = [_filler(rng) for _ in range(6)]
     if all(row.tag != "button" for row in rows):
-        rows[-1] = Row("button", _label(draw))
+        rows[-1] = Row("button", _label(rng))
     texts = [row.text for row in rows if row.tag == "button"]
-    wanted = texts[draw.integers(len(texts))]
+    wanted = texts[rng.integers(len(texts))]
     rows = [replace(row, reward=1.0 if row.text == wanted else -1.0) if row.tag == "button" else row for row in rows]
     return f'Click on the "{wanted}" button.', rows, ""
 
 
-def _enter_text(draw: np.random.Generator) -> tuple[str, list[Row], str]:
-    name = NAMES[draw.integers(len(NAMES))]
+def _enter_text(rng: np.random.Generator) -> tuple[str, list[Row], str]:
+    name = NAMES[rng.integers(len(NAMES))]
     rows = [Row("input_text"), Row("button", "Submit", reward=-1.0)]
     return f'Enter "{name}" into the text field and press Submit.', rows, name
 
 
-def _filler(draw: np.random.Generator) -> Row:
-    kind = draw.random()
+def _filler(rng: np.random.Generator) -> Row:
+    kind = rng.random()
     if kind < 1 / 3:
-        return Row("div", " ".join(draw.choice(FILLER, 3)))
-    return Row("input_text") if kind < 2 / 3 else Row("button", _label(draw))
+        return Row("div", " ".join(rng.choice(FILLER, 3)))
+    return Row("input_text") if kind < 2 / 3 else Row("button", _label(rng))
 
 
-def _label(draw: np.random.Generator) -> str:
-    label = LABELS[draw.integers(len(LABELS))]
-    return label.capitalize() if draw.random() < 0.5 else label
+def _label(rng: np.random.Generator) -> str:
+    label = LABELS[rng.integers(len(LABELS))]
+    return label.capitalize() if rng.random() < 0.5 else label
 
 
 TASKS: dict[str, Callable[[np.random.Generator], tuple[str, list[Row], str]]] = {
@@ -118,13 +118,13 @@ def check_task(task: str) -> None:
 
 def _open(episode: EpisodeSpec) -> Tab:
     check_task(episode.task)
-    draw = np.random.default_rng(episode.seed)
-    utterance, rows, wanted = TASKS[episode.task](draw)
+    rng = np.random.default_rng(episode.seed)
+    utterance, rows, wanted = TASKS[episode.task](rng)
     boxes = np.stack(
         [
-            draw.uniform(2, 60, len(rows)),
-            50 + np.arange(len(rows)) * 20 + draw.uniform(0, 8, len(rows)),
-            draw.uniform(40, 100, len(rows)),
+            rng.uniform(2, 60, len(rows)),
+            50 + np.arange(len(rows)) * 20 + rng.uniform(0, 8, len(rows)),
+            rng.uniform(40, 100, len(rows)),
             np.full(len(rows), 18.0),
         ],
         axis=1,

@@ -23,10 +23,12 @@ class NetConfig:
 
     width: Annotated[int, Field(ge=4, multiple_of=4)] = 64
     vectors: Literal["glove", "hashed"] = "glove"
-    order: bool = True  # whether words are read with their neighbours; False makes the goal a bag of words
-    overlap: bool = True  # whether a net is told which words goal and page share
-    neighbours: bool = True  # whether an element is read with the others around it
-    beside: bool = False  # whether it is also read with whatever stands right beside it, as a box with its label
+    word_order: bool = True  # whether words are read with their neighbours; False makes the goal a bag of words
+    goal_overlap: bool = True  # whether a net is told which words goal and page share
+    element_attention: bool = True  # whether an element is read with the others around it
+    adjacent_elements: bool = (
+        False  # whether it is also read with whatever stands right beside it, as a box with its label
+    )
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -37,7 +39,7 @@ class DemosConfig:
     path: str = ""  # a demonstration file, or the folder of public human recordings
     per_task: Positive = 100  # at most so many
     collections: tuple[str, ...] = ()  # folders of recordings to read, all when empty
-    spoiled: Share = 0.0  # of each task's, replaced by episodes of somebody who does anything
+    noise_fraction: Share = 0.0  # of each task's, replaced by episodes of somebody who does anything
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -45,12 +47,12 @@ class ActorConfig:
     """Who plays."""
 
     count: Annotated[int, Field(ge=1, le=MAX_ACTORS)] = 1
-    minimum: Positive = 1  # healthy actors below which the run gives up
+    min_healthy: Positive = 1  # healthy actors below which the run gives up
     tabs: Positive = 8  # episodes an actor plays at once, all in one Chrome
     call_timeout_s: Seconds = 10.0  # deadline of one browser call
     launch_timeout_s: Seconds = 60.0
     score_timeout_s: Seconds = 5.0  # deadline of one scoring request
-    silence_s: Seconds = 60.0  # an actor not heard for so long is replaced
+    heartbeat_timeout_s: Seconds = 60.0  # an actor not heard for so long is replaced
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -80,28 +82,26 @@ class DiscriminatorConfig:
 
     reward: Literal["logit", "d", "log_d", "gail", "goal"] = "logit"
     form: Literal["plain", "airl"] = "plain"  # "airl": D = e^f / (e^f + pi), f is the reward (Fu et al. 2018)
-    judges: Literal["steps", "ends"] = "steps"  # "ends": only the last step of an episode, as AGILE does
-    trim: Share = 0.0  # top-scored share of the policy's own steps that is no negative (AGILE)
+    train_on: Literal["all_steps", "final_steps"] = "all_steps"  # "final_steps": the last step of each episode (AGILE)
+    discard_top_fraction: Share = 0.0  # top-scored share of the policy's own steps that is no negative (AGILE)
     clip: Annotated[float, Field(gt=0)] = 5.0  # bound on the logit, nats
     learning_rate: Annotated[float, Field(gt=0)] = 1e-3  # of the first iteration
-    final_rate: Share = 0.1  # of it in the last one; in between it falls in a straight line
-    slow: Literal["time", "accuracy"] = "time"  # what lowers the learning rate to its final one
+    final_lr_fraction: Share = 0.1  # of it in the last one; in between it falls in a straight line
+    lr_schedule: Literal["linear", "accuracy"] = "linear"  # "accuracy": falls as the policy catches up with the expert
     updates: Positive = 2  # per iteration
     batch: Positive = 64  # expert steps per update, and as many of every kind of negative
     rollouts: Weight = 0.25  # steps of the newest rollouts
     replay: Weight = 0.25  # steps of older rollouts
     replay_size: Positive = 4096  # trajectories kept, a uniform sample of all so far
-    demo_states: Weight = 0.5  # the policy's own actions on demonstration states
-    chance: Weight = 0.5  # actions drawn at random, on the experts' and the policy's pages alike
+    policy_on_expert_states: Weight = 0.5  # the policy's own actions on demonstration states
+    random_actions: Weight = 0.5  # actions drawn at random, on the experts' and the policy's pages alike
     wrong_goal: Weight = 0.25  # expert steps under another goal of the same task
-    rename: Share = 0.5  # chance that a sample's words are consistently replaced
-    jitter: Weight = 0.1  # shift of such a sample's positions, in pages
+    rename_prob: Share = 0.5  # chance that a sample's words are consistently replaced
+    position_jitter: Weight = 0.1  # shift of such a sample's positions, in pages
     gradient_penalty: Weight = 0.0  # zero-centred, on the encoded page
-    dropout: Share = 0.0
-    weight_decay: Weight = 0.0
 
     def __post_init__(self) -> None:
-        if not self.rollouts + self.replay + self.demo_states + self.chance + self.wrong_goal:
+        if not self.rollouts + self.replay + self.policy_on_expert_states + self.random_actions + self.wrong_goal:
             raise ValueError("all sources of negatives weigh 0; wanted at least one, rollouts=1 for plain Algorithm 1")
 
 
@@ -110,17 +110,17 @@ class PolicyConfig:
     """Entropy-regularised, off-policy corrected actor-critic (eq. 3.1; V-trace, Espeholt et al. 2018)."""
 
     learning_rate: Annotated[float, Field(gt=0)] = 1e-3  # of the first iteration
-    final_rate: Share = 0.1  # of it in the last one
+    final_lr_fraction: Share = 0.1  # of it in the last one
     updates: Positive = 1  # per iteration
     gamma: Share = 0.9
     entropy: Annotated[float, Field(gt=0)] = 0.15  # alpha of eq. 3.1, nats of reward per nat of entropy
     final_entropy: Annotated[float, Field(gt=0, le=1)] = 0.3  # of it in the last iteration; the grid's stays as it is
-    taken: Weight = 1.0  # weight of the V-trace gradient on the actions taken
-    asked: Annotated[int, Field(ge=0, multiple_of=2)] = 32  # actions on each page that the reward is asked about
-    value: Weight = 0.5
-    rho_clip: Annotated[float, Field(gt=0)] = 1.0
-    max_norm: Annotated[float, Field(gt=0)] = 1.0  # gradient norm
-    cloning_start: Annotated[int, Field(ge=0)] = 0  # updates of behavioural cloning before the first rollout
+    vtrace_weight: Weight = 1.0  # weight of the V-trace gradient on the actions taken
+    sampled_actions: Annotated[int, Field(ge=0, multiple_of=2)] = (
+        32  # actions on each page that the reward is asked about
+    )
+    value_loss_weight: Weight = 0.5
+    bc_warmup_updates: Annotated[int, Field(ge=0)] = 0  # updates of behavioural cloning before the first rollout
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -128,10 +128,10 @@ class CloningConfig:
     """Behavioural cloning on the same nets."""
 
     learning_rate: Annotated[float, Field(gt=0)] = 1e-3  # of the first iteration
-    final_rate: Share = 0.1  # of it in the last one; the grid's stays as it is
+    final_lr_fraction: Share = 0.1  # of it in the last one; the grid's stays as it is
     batch: Positive = 64
-    rename: Share = 0.5
-    jitter: Weight = 0.1
+    rename_prob: Share = 0.5
+    position_jitter: Weight = 0.1
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -139,16 +139,13 @@ class SoftQConfig:
     """Imitation without a discriminator, on the policy's net: SQIL and IQ-Learn."""
 
     learning_rate: Annotated[float, Field(gt=0)] = 1e-3  # of the first iteration
-    final_rate: Share = 0.1  # of it in the last one
+    final_lr_fraction: Share = 0.1  # of it in the last one
     updates: Positive = 4  # per iteration
     batch: Positive = 64  # expert steps per update, and as many of the policy's
     gamma: Share = 0.9
     temperature: Annotated[float, Field(gt=0)] = 0.1  # alpha: Q(s, a) = V(s) + alpha log pi(a | s)
-    target_rate: Annotated[float, Field(gt=0, le=1)] = 0.05  # how fast SQIL's target net follows
-    chi: Annotated[float, Field(gt=0)] = 0.5  # IQ-Learn's: large ones allow large rewards
-    max_norm: Annotated[float, Field(gt=0)] = 1.0  # gradient norm
-    rename: Share = 0.5
-    jitter: Weight = 0.1
+    rename_prob: Share = 0.5
+    position_jitter: Weight = 0.1
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -156,7 +153,7 @@ class EvaluateConfig:
     """How the result is measured."""
 
     episodes: Positive = 200  # fresh pages a task
-    floor_episodes: Positive = 200  # pages a task for the random policy
+    random_episodes: Positive = 200  # pages a task for the random policy
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -180,12 +177,10 @@ class GridConfig:
     sentences: Literal["plain", "all"] = "plain"
     order: Literal[1, 2] = 2  # of the bag of words; 2 also counts neighbouring words
     neighbours: bool = False  # whether the four cells around are seen
-    whole_map: bool = False  # whether policies see the layout from above; a reward judges what is near
+    full_map: bool = False  # whether policies see the layout from above; a reward judges what is near
     demonstrations: Positive = 10  # per layout and goal
-    expert_temperature: Weight = 0.1
-    chance_episodes: Positive = 100  # played by chance before learning, kept for good
+    random_episodes: Positive = 100  # played by chance before learning, kept for good
     batch: Positive = 256  # steps per soft Q update
-    target_rate: Annotated[float, Field(gt=0, le=1)] = 0.05  # how fast the net that acts and sets targets follows Q's
     absorbing: bool = False  # whether an episode's end is a state that is judged too
     measure_every: Positive = 5  # iterations between exact measurements of the policy
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gridcraft.world import ACTIONS, DISCOUNT, HORIZON, World, expect, step, transitions
+from gridcraft.world import ACTIONS, DISCOUNT, HORIZON, World, expected_value, step, transitions
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ def expected_reward(world: World, reward: Array) -> Array:
     return wide if wide.ndim == 2 else np.einsum("sat,sat->sa", transitions(world), wide)
 
 
-def choose(q: Array, temperature: float) -> tuple[Array, Array]:
+def soft_backup(q: Array, temperature: float) -> tuple[Array, Array]:
     """v [S] and pi [S, A] of Q [S, A]: T log sum exp(Q / T) and its softmax, or at 0 the best actions alike."""
     best = q.max(axis=1, keepdims=True)
     if temperature == 0.0:
@@ -67,9 +67,9 @@ def solve(world: World, reward: Array, *, temperature: float = 0.0, discount: fl
     r = expected_reward(world, reward)
     v = np.zeros(len(world))
     for _ in range(math.ceil(math.log(TOLERANCE) / math.log(discount)) if discount else 1):
-        v, _ = choose(r + discount * expect(world, v), temperature)
-    q = r + discount * expect(world, v)
-    v, pi = choose(q, temperature)
+        v, _ = soft_backup(r + discount * expected_value(world, v), temperature)
+    q = r + discount * expected_value(world, v)
+    v, pi = soft_backup(q, temperature)
     return Solution(q=q, v=v, pi=pi)
 
 
@@ -83,8 +83,8 @@ def solve_horizon(
     v = np.zeros((horizon + 1, len(world)))
     pi = np.zeros_like(q)
     for t in reversed(range(horizon)):
-        q[t] = r + discount * expect(world, v[t + 1])
-        v[t], pi[t] = choose(q[t], temperature)
+        q[t] = r + discount * expected_value(world, v[t + 1])
+        v[t], pi[t] = soft_backup(q[t], temperature)
     return Solution(q=q, v=v[:-1], pi=pi)
 
 
@@ -93,7 +93,7 @@ def random_policy(world: World) -> Array:
     return np.full((len(world), len(ACTIONS)), 1.0 / len(ACTIONS))
 
 
-def visits(world: World, pi: Array, horizon: int = HORIZON) -> Array:
+def occupancy(world: World, pi: Array, horizon: int = HORIZON) -> Array:
     """[T, S] probability that pi [S, A] or [T, S, A] stands in s when it takes its t-th action."""
     steps = per_step(world, pi, horizon)
     at = np.zeros((horizon, len(world)))
@@ -123,11 +123,11 @@ def expected_return(world: World, pi: Array, reward: Array, *, horizon: int = HO
     """The mean return of pi [S, A] or [T, S, A] from the start distribution, without sampling."""
     steps = per_step(world, pi, horizon)
     per_state = (steps * expected_reward(world, reward)).sum(axis=2)
-    earned = (visits(world, pi, horizon) * per_state).sum(axis=1)
+    earned = (occupancy(world, pi, horizon) * per_state).sum(axis=1)
     return float(earned @ discount ** np.arange(horizon))
 
 
-def bounds(world: World, reward: Array, *, horizon: int = HORIZON, discount: float = 1.0) -> tuple[float, float]:
+def return_bounds(world: World, reward: Array, *, horizon: int = HORIZON, discount: float = 1.0) -> tuple[float, float]:
     """The return of chance, and the most that can be had within the horizon."""
     best = solve_horizon(world, reward, discount=discount, horizon=horizon).pi
     chance, optimal = (
@@ -139,7 +139,7 @@ def bounds(world: World, reward: Array, *, horizon: int = HORIZON, discount: flo
     return chance, optimal
 
 
-def fraction(
+def normalized_return(
     world: World,
     pi: Array,
     reward: Array,
@@ -152,7 +152,7 @@ def fraction(
 
     `known` are the `bounds`, where they are.
     """
-    chance, optimal = known or bounds(world, reward, horizon=horizon, discount=discount)
+    chance, optimal = known or return_bounds(world, reward, horizon=horizon, discount=discount)
     return (expected_return(world, pi, reward, horizon=horizon, discount=discount) - chance) / (optimal - chance)
 
 

@@ -10,7 +10,16 @@ from numpy.typing import NDArray
 
 from gridcraft.instructions import Pair
 from gridcraft.layouts import colour_number
-from gridcraft.planning import expected_return, expected_reward, flow, fraction, per_step, solve, steps_to, visits
+from gridcraft.planning import (
+    expected_return,
+    expected_reward,
+    flow,
+    normalized_return,
+    occupancy,
+    per_step,
+    solve,
+    steps_to,
+)
 from gridcraft.world import DISCOUNT, HORIZON, World
 
 Array = NDArray[np.float64]
@@ -60,8 +69,8 @@ def reoptimised_return(
 def reoptimised_fraction(
     world: World, learned: Array, true: Array, *, horizon: int = HORIZON, discount: float = DISCOUNT
 ) -> float:
-    """The same as `fraction` counts it: 1 for the best possible, 0 for chance."""
-    return fraction(world, reoptimise(world, learned, discount), true, horizon=horizon)
+    """The same as `normalized_return` counts it: 1 for the best possible, 0 for chance."""
+    return normalized_return(world, reoptimise(world, learned, discount), true, horizon=horizon)
 
 
 def pearson(x: Array, y: Array) -> float:
@@ -160,10 +169,10 @@ def matched_avoid_rank(world: World, score: Array, pair: Pair) -> float:
 def avoid_time(world: World, pi: Array, pair: Pair, horizon: int = HORIZON) -> float:
     """The share of its steps that pi [S, A] or [T, S, A] takes on the avoided colour, by exact visitation."""
     avoid = world.colour == colour_number(pair.avoid)
-    return float(visits(world, pi, horizon)[:, avoid].sum() / horizon)
+    return float(occupancy(world, pi, horizon)[:, avoid].sum() / horizon)
 
 
-def entering_rate(world: World, pi: Array, pair: Pair, horizon: int = HORIZON) -> float:
+def violation_rate(world: World, pi: Array, pair: Pair, horizon: int = HORIZON) -> float:
     """The share of episodes in which pi [S, A] or [T, S, A] ever acts on the avoided colour, exactly."""
     avoid = world.colour == colour_number(pair.avoid)
     now, entered = world.start.copy(), 0.0

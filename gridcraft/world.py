@@ -72,7 +72,7 @@ def build_world(layouts: Sequence[Layout], slip: float = 0.0) -> World:
     return world
 
 
-def paid(colour: NDArray[np.int64], goal: NDArray[np.int64], avoid: NDArray[np.int64]) -> NDArray[np.float64]:
+def step_reward(colour: NDArray[np.int64], goal: NDArray[np.int64], avoid: NDArray[np.int64]) -> NDArray[np.float64]:
     """The true reward of a step by the colour it is taken on: +1 on the goal, -1 on the avoided, else 0.
 
     Numbers of colours, any shapes that broadcast.
@@ -86,11 +86,11 @@ def true_reward(world: World, pair: Pair) -> NDArray[np.float64]:
     for layout in world.layouts:
         if lacking := {pair.goal, pair.avoid} - set(layout.colours):
             raise ValueError(f"layout {layout.name!r} has no {min(lacking)} cell, which {pair} speaks of")
-    reward = paid(world.colour, np.array(colour_number(pair.goal)), np.array(colour_number(pair.avoid)))
+    reward = step_reward(world.colour, np.array(colour_number(pair.goal)), np.array(colour_number(pair.avoid)))
     return np.repeat(reward[:, None], len(ACTIONS), axis=1)
 
 
-def expect(world: World, value: NDArray[np.float64]) -> NDArray[np.float64]:
+def expected_value(world: World, value: NDArray[np.float64]) -> NDArray[np.float64]:
     """[S, A] the mean of value [S] over where an action leads, slips included."""
     led = value[world.next_state]
     mean: NDArray[np.float64] = (1.0 - world.slip) * led + world.slip * led.mean(axis=1, keepdims=True)

@@ -11,12 +11,14 @@ from torch.nn import functional
 from giirl_core.config import PolicyConfig
 from giirl_core.metrics import Metrics, timed_update
 from giirl_core.nets.features import ActionBatch, Batch
-from giirl_core.nets.models import Policy
+from giirl_core.nets.models import PolicyNet
 from giirl_core.types import Verb
 from learner.data import Example, collate_steps, pad, steps_of
 from learner.losses import vtrace
 
-Ask = Callable[[Batch, ActionBatch], Tensor]  # r(s, a | g) [B, M]
+MAX_GRAD_NORM = 1.0
+
+RewardFn = Callable[[Batch, ActionBatch], Tensor]  # r(s, a | g) [B, M]
 
 
 class ActorCritic:
@@ -28,13 +30,15 @@ class ActorCritic:
     not, but cannot get stuck: a policy that never types still learns what the reward would like to see typed.
     """
 
-    def __init__(self, config: PolicyConfig, net: Policy, noise: torch.Generator, *, metrics: Metrics) -> None:
-        self.config, self.net, self._noise, self._metrics = config, net, noise, metrics
+    def __init__(self, config: PolicyConfig, net: PolicyNet, generator: torch.Generator, *, metrics: Metrics) -> None:
+        self.config, self.net, self._generator, self._metrics = config, net, generator, metrics
         self.optimiser = torch.optim.Adam(net.parameters(), lr=config.learning_rate)
         self.entropy = config.entropy  # alpha as it is now
 
-    def update(self, rollouts: Sequence[Example], rewards: Sequence[Tensor], ask: Ask | None) -> dict[str, float]:
-        """Policy-optimisation steps on the `rewards` [T] of the rollouts; `ask` is None where the reward of what
+    def update(
+        self, rollouts: Sequence[Example], rewards: Sequence[Tensor], reward_fn: RewardFn | None
+    ) -> dict[str, float]:
+        """Policy-optimisation steps on the `rewards` [T] of the rollouts; `reward_fn` is None where the reward of what
         nobody did is not to be had."""
         batch, taken = collate_steps(steps_of(rollouts))
         lengths = [len(example.features) for example in rollouts]
@@ -44,25 +48,31 @@ class ActorCritic:
         stats: dict[str, float] = {}
         for _ in range(self.config.updates):
             with timed_update(self._metrics, "policy"):
-                stats = self._descend(batch, taken, paid, behaviour, mask, ask)
+                stats = self._descend(batch, taken, paid, behaviour, mask, reward_fn)
         return stats
 
     def _descend(
-        self, batch: Batch, taken: ActionBatch, paid: Tensor, behaviour: Tensor, mask: Tensor, ask: Ask | None
+        self,
+        batch: Batch,
+        taken: ActionBatch,
+        paid: Tensor,
+        behaviour: Tensor,
+        mask: Tensor,
+        reward_fn: RewardFn | None,
     ) -> dict[str, float]:
         """One step on the taken and asked actions; paid, behaviour and mask are [episodes, T]."""
-        actions, target = self._ask(batch, taken, ask)
+        actions, target = self._sample_targets(batch, taken, reward_fn)
         logp, entropy, value = self.net.evaluate(batch, actions)
         now, values = _by_episode(logp[:, 0].detach(), mask), _by_episode(value.detach(), mask)
         ahead = functional.pad(_by_episode(entropy.detach(), mask)[:, 1:], (0, 1))
         soft = paid + self.config.gamma * self.entropy * ahead
-        targets, advantages = vtrace(now, behaviour, soft, values, mask, self.config.gamma, self.config.rho_clip)
+        targets, advantages = vtrace(now, behaviour, soft, values, mask, self.config.gamma)
         gain = (advantages[mask] * logp[:, 0]).mean()
         distance = -(target * logp[:, 1:]).sum(1).mean()
         error = (targets[mask] - value).pow(2).mean()
-        loss = -self.config.taken * gain + distance
-        loss = loss - self.entropy * entropy.mean() + self.config.value * error
-        descend(self.optimiser, self.net, loss, self.config.max_norm)
+        loss = -self.config.vtrace_weight * gain + distance
+        loss = loss - self.entropy * entropy.mean() + self.config.value_loss_weight * error
+        descend(self.optimiser, self.net, loss)
         return {
             "p_entropy": entropy.mean().item(),
             "p_distance": distance.item(),
@@ -72,32 +82,34 @@ class ActorCritic:
         }
 
     @torch.no_grad()
-    def _ask(self, batch: Batch, taken: ActionBatch, ask: Ask | None) -> tuple[ActionBatch, Tensor]:
+    def _sample_targets(
+        self, batch: Batch, taken: ActionBatch, reward_fn: RewardFn | None
+    ) -> tuple[ActionBatch, Tensor]:
         """The action taken and `asked` others on every page [B, 1 + M], and the soft-optimal choice among those [B, M].
 
         Actions come from q, half policy and half chance, so each counts with exp(r / alpha) / q.
         """
-        count = self.config.asked
-        if ask is None or not count:
+        count = self.config.sampled_actions
+        if reward_fn is None or not count:
             return taken, torch.zeros(len(batch), 0)
         flat = torch.arange(count) % 2 == 1
-        uniform = torch.rand(len(batch), count, 3, generator=self._noise)
+        uniform = torch.rand(len(batch), count, 3, generator=self._generator)
         drawn, _ = self.net.sample(batch, uniform, flat)
         logp, _, _ = self.net.evaluate(batch, drawn)
-        q = torch.logaddexp(logp, chance_logp(batch, drawn))
-        target = (ask(batch, drawn) / self.entropy - q).softmax(1)
+        q = torch.logaddexp(logp, random_logp(batch, drawn))
+        target = (reward_fn(batch, drawn) / self.entropy - q).softmax(1)
         return join(taken, drawn), target
 
 
-def descend(optimiser: torch.optim.Optimizer, net: nn.Module, loss: Tensor, max_norm: float) -> None:
+def descend(optimiser: torch.optim.Optimizer, net: nn.Module, loss: Tensor) -> None:
     """One optimiser step with the gradient's norm bounded."""
     optimiser.zero_grad()
     loss.backward()
-    nn.utils.clip_grad_norm_(net.parameters(), max_norm)
+    nn.utils.clip_grad_norm_(net.parameters(), MAX_GRAD_NORM)
     optimiser.step()
 
 
-def chance_logp(batch: Batch, actions: ActionBatch) -> Tensor:
+def random_logp(batch: Batch, actions: ActionBatch) -> Tensor:
     """[B, M] log-probability of actions drawn uniformly: a legal pair, a first word, a last word not before it."""
     pairs = (batch.clickable.sum(1) + batch.typable.sum(1)).unsqueeze(1).float()
     words = batch.token_mask.sum(1, keepdim=True).float()

@@ -7,12 +7,12 @@ from typing import Protocol
 
 from giirl_core.config import Config
 from learner.giirl import Observe, giirl
-from learner.protocols import Ask, Cloning, Comparable, Net, Played, Read, Rewards, Source
+from learner.protocols import Cloning, Comparable, Net, Played, Read, RewardFn, Rewards, Source
 
 
-def clone(
+def behavioural_cloning(
     config: Config,
-    learner: Cloning[Played, Read, Net, Rewards, Ask],
+    learner: Cloning[Played, Read, Net, Rewards, RewardFn],
     source: Source[Played],
     steps: Iterable[int],
     observe: Observe,
@@ -23,43 +23,43 @@ def clone(
         observe(step, learner.cloner.update(learner.demos.sample(config.cloning.batch)))
 
 
-def follow(
+def train_on_frozen_reward(
     config: Config,
-    learner: Comparable[Played, Read, Net, Rewards, Ask],
+    learner: Comparable[Played, Read, Net, Rewards, RewardFn],
     source: Source[Played],
     steps: Iterable[int],
     observe: Observe,
 ) -> None:
     """A fresh policy on a reward that was learned before and stays as it is."""
     for step in steps:
-        rollouts = learner.study(source.take(config.rollout_batch))
+        rollouts = learner.featurise(source.take(config.rollout_batch))
         rewards = learner.discriminator.rewards(rollouts, version=step + 1)
-        observe(step, learner.policy.update(rollouts, rewards, learner.discriminator.ask))
+        observe(step, learner.policy.update(rollouts, rewards, learner.discriminator.reward_fn))
 
 
-def reinforce(
+def train_on_env_reward(
     config: Config,
-    learner: Comparable[Played, Read, Net, Rewards, Ask],
+    learner: Comparable[Played, Read, Net, Rewards, RewardFn],
     source: Source[Played],
     steps: Iterable[int],
     observe: Observe,
 ) -> None:
     """The same policy optimisation on the page's own sparse reward, which the source then tells."""
     for step in steps:
-        rollouts = learner.study(source.take(config.rollout_batch))
-        observe(step, learner.policy.update(rollouts, learner.told(rollouts), None))
+        rollouts = learner.featurise(source.take(config.rollout_batch))
+        observe(step, learner.policy.update(rollouts, learner.carried_rewards(rollouts), None))
 
 
-def imitate(
+def soft_q_imitation(
     config: Config,
-    learner: Comparable[Played, Read, Net, Rewards, Ask],
+    learner: Comparable[Played, Read, Net, Rewards, RewardFn],
     source: Source[Played],
     steps: Iterable[int],
     observe: Observe,
 ) -> None:
     """SQIL or IQ-Learn: soft Q-learning from demonstrations and rollouts, with no reward in between."""
     for step in steps:
-        rollouts = learner.study(source.take(config.rollout_batch))
+        rollouts = learner.featurise(source.take(config.rollout_batch))
         observe(step, learner.soft_q.update(learner.demos.sample(config.soft_q.batch), rollouts))
 
 
@@ -69,7 +69,7 @@ class Algorithm(Protocol):
     def __call__(
         self,
         config: Config,
-        learner: Comparable[Played, Read, Net, Rewards, Ask],
+        learner: Comparable[Played, Read, Net, Rewards, RewardFn],
         source: Source[Played],
         steps: Iterable[int],
         observe: Observe,
@@ -78,9 +78,9 @@ class Algorithm(Protocol):
 
 ALGORITHMS: dict[str, Algorithm] = {
     "giirl": giirl,
-    "cloning": clone,
-    "frozen": follow,
-    "true_reward": reinforce,
-    "sqil": imitate,
-    "iq_learn": imitate,
+    "cloning": behavioural_cloning,
+    "frozen": train_on_frozen_reward,
+    "true_reward": train_on_env_reward,
+    "sqil": soft_q_imitation,
+    "iq_learn": soft_q_imitation,
 }

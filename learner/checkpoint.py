@@ -9,7 +9,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from giirl_core.files import sync_folder, whole_file
+from giirl_core.files import atomic_write, sync_folder
 
 MANIFEST = "manifest.json"
 LATEST = "latest"
@@ -32,7 +32,7 @@ def save_checkpoint(folder: Path, step: int, write: Callable[[Path], None], keep
         final.rename(folder / f".partial-{step:08d}-old")
     partial.rename(final)
     sync_folder(folder)
-    with whole_file(folder / LATEST) as file:
+    with atomic_write(folder / LATEST) as file:
         file.write(final.name.encode())
     others = sorted(path for path in folder.glob("step-*") if path != final)  # later ones too, after going back
     for old in [*others[: max(0, len(others) + 1 - keep)], *folder.glob(".partial-*")]:

@@ -29,7 +29,7 @@ class Step:
     action: Action
 
 
-def study(trajectory: Trajectory, vectors: Vectors) -> Example:
+def featurise_trajectory(trajectory: Trajectory, vectors: Vectors) -> Example:
     """Compute the features once; an example is then used many times."""
     rows = tuple(featurise(page, trajectory.goal, vectors) for page in trajectory.pages)
     return Example(trajectory, rows)
@@ -52,11 +52,11 @@ def collate_steps(steps: Sequence[Step]) -> tuple[Batch, ActionBatch]:
 class ExpertSampler:
     """D_E: expert trajectories with their goals, drawn evenly by task; and the same steps under wrong goals."""
 
-    def __init__(self, demonstrations: Sequence[Trajectory], vectors: Vectors, draw: np.random.Generator) -> None:
-        self._vectors, self._draw = vectors, draw
+    def __init__(self, demonstrations: Sequence[Trajectory], vectors: Vectors, rng: np.random.Generator) -> None:
+        self._vectors, self._rng = vectors, rng
         self._of_task: dict[str, list[Example]] = {}
         for trajectory in demonstrations:
-            self._of_task.setdefault(trajectory.task, []).append(study(trajectory, vectors))
+            self._of_task.setdefault(trajectory.task, []).append(featurise_trajectory(trajectory, vectors))
         self._tasks = sorted(self._of_task)
         # What experts do under each goal: doing it is not wrong there, so it is no negative.
         self._right: dict[tuple[str, str], set[tuple[Verb, str, str]]] = {}
@@ -73,8 +73,8 @@ class ExpertSampler:
             raise ValueError("there are no demonstrations to learn from")
         drawn = []
         for _ in range(trajectories):
-            examples = self._of_task[self._tasks[self._draw.integers(len(self._tasks))]]
-            drawn.append(examples[self._draw.integers(len(examples))])
+            examples = self._of_task[self._tasks[self._rng.integers(len(self._tasks))]]
+            drawn.append(examples[self._rng.integers(len(examples))])
         return drawn
 
     def wrong_goals(self, examples: Sequence[Example]) -> list[Step]:
@@ -85,8 +85,8 @@ class ExpertSampler:
         wrong = []
         for example in examples:
             own, goals = example.trajectory, self._goals[example.trajectory.task]
-            other = goals[self._draw.integers(len(goals))]
-            t = int(self._draw.integers(len(own)))
+            other = goals[self._rng.integers(len(goals))]
+            t = int(self._rng.integers(len(own)))
             if other == own.goal or _signature(own, t) in self._right[(own.task, other.utterance)]:
                 continue
             action = own.actions[t]
@@ -105,8 +105,8 @@ def _signature(trajectory: Trajectory, t: int) -> tuple[Verb, str, str]:
 class Replay:
     """A bounded uniform sample of all trajectories so far (reservoir sampling, Vitter 1985)."""
 
-    def __init__(self, size: int, draw: np.random.Generator) -> None:
-        self.size, self._draw = size, draw
+    def __init__(self, size: int, rng: np.random.Generator) -> None:
+        self.size, self._rng = size, rng
         self.examples: list[Example] = []
         self.seen = 0
 
@@ -115,25 +115,25 @@ class Replay:
             self.seen += 1
             if len(self.examples) < self.size:
                 self.examples.append(example)
-            elif (place := int(self._draw.integers(self.seen))) < self.size:
+            elif (place := int(self._rng.integers(self.seen))) < self.size:
                 self.examples[place] = example
 
     def sample(self, count: int) -> list[Example]:
         """Trajectories drawn with replacement; none while empty."""
         if not self.examples:
             return []
-        return [self.examples[i] for i in self._draw.integers(len(self.examples), size=count)]
+        return [self.examples[i] for i in self._rng.integers(len(self.examples), size=count)]
 
 
-def pick_step(example: Example, draw: np.random.Generator) -> Step:
+def pick_step(example: Example, rng: np.random.Generator) -> Step:
     """One of its steps, all equally likely."""
-    t = int(draw.integers(len(example.features)))
+    t = int(rng.integers(len(example.features)))
     return Step(example.features[t], example.trajectory.actions[t])
 
 
-def last_step(example: Example, draw: np.random.Generator) -> Step:
+def last_step(example: Example, rng: np.random.Generator) -> Step:
     """Its last step: of an episode that succeeded, the one that reached the goal."""
-    del draw
+    del rng
     return Step(example.features[-1], example.trajectory.actions[-1])
 
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from giirl_core.config import DiscriminatorConfig
 from giirl_core.metrics import Metrics, timed_update
 from giirl_core.nets.features import ActionBatch, Batch, rename
-from giirl_core.nets.models import Policy
+from giirl_core.nets.models import PolicyNet
 from giirl_core.nets.reward import RewardModel, episode_rewards, reward_of
 from giirl_core.types import UNSCORED
 from learner.data import Example, ExpertSampler, Replay, Step, collate_steps, last_step, pick_step, steps_of
@@ -32,8 +32,8 @@ class Discriminator:
         model: RewardModel,
         demos: ExpertSampler,
         replay: Replay,
-        draw: np.random.Generator,
-        noise: torch.Generator,
+        rng: np.random.Generator,
+        generator: torch.Generator,
         *,
         reward_lag: int,
         metrics: Metrics,
@@ -41,12 +41,10 @@ class Discriminator:
         self.config, self.model, self.demos, self.replay = config, model, demos, replay
         self._reward_lag, self._metrics = reward_lag, metrics
         self.accuracy = 1.0  # of late: the mean share of expert steps, and of the newest rollouts', on their own side
-        self.optimiser = torch.optim.AdamW(
-            model.net.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
-        )
-        self._draw, self._noise = draw, noise
+        self.optimiser = torch.optim.AdamW(model.net.parameters(), lr=config.learning_rate)
+        self._rng, self._generator = rng, generator
 
-    def update(self, expert: Sequence[Example], rollouts: Sequence[Example], policy: Policy) -> dict[str, float]:
+    def update(self, expert: Sequence[Example], rollouts: Sequence[Example], policy: PolicyNet) -> dict[str, float]:
         """Train on fresh draws from `expert`, `rollouts` and the other sources; returns loss and accuracies.
 
         `d_accuracy_SOURCE` is the share of that source's pairs on the right side of D = 1/2.
@@ -88,7 +86,7 @@ class Discriminator:
         logits = self._judge(*collate_steps(steps_of(rollouts))).squeeze(1)
         return episode_rewards(logits, lengths, self.config.reward, self.config.clip)
 
-    def ask(self, batch: Batch, actions: ActionBatch) -> Tensor:
+    def reward_fn(self, batch: Batch, actions: ActionBatch) -> Tensor:
         """r(s, a | g) [B, M] of M actions on each page, taken or not."""
         return reward_of(self._judge(batch, actions), self.config.reward, self.config.clip)
 
@@ -99,29 +97,32 @@ class Discriminator:
         return logits
 
     def _sources(
-        self, expert: Sequence[Example], rollouts: Sequence[Example], policy: Policy
+        self, expert: Sequence[Example], rollouts: Sequence[Example], policy: PolicyNet
     ) -> dict[str, tuple[float, list[Step]]]:
         """Steps by where they come from, with the weight each counts with; the expert's come first."""
-        config, draw = self.config, self._draw
-        pick = pick_step if config.judges == "steps" else last_step
-        shown = [pick(expert[i % len(expert)], draw) for i in range(config.batch)]
+        config, rng = self.config, self._rng
+        pick = pick_step if config.train_on == "all_steps" else last_step
+        shown = [pick(expert[i % len(expert)], rng) for i in range(config.batch)]
         sources = {EXPERT: (1.0, shown)}
-        new = [pick(rollouts[i], draw) for i in draw.integers(len(rollouts), size=config.batch)]
+        new = [pick(rollouts[i], rng) for i in rng.integers(len(rollouts), size=config.batch)]
         if config.rollouts:
             sources["rollouts"] = (config.rollouts, new)
         if config.replay:
-            sources["replay"] = (config.replay, [pick(old, draw) for old in self.replay.sample(config.batch)])
-        if config.demo_states:
-            sources["demo_states"] = (config.demo_states, self._act(shown, policy, by_chance=False))
-        if config.chance:
+            sources["replay"] = (config.replay, [pick(old, rng) for old in self.replay.sample(config.batch)])
+        if config.policy_on_expert_states:
+            sources["policy_on_expert_states"] = (
+                config.policy_on_expert_states,
+                self._act(shown, policy, by_chance=False),
+            )
+        if config.random_actions:
             both = shown[::2] + new[1::2]
-            sources["chance"] = (config.chance, self._act(both, policy, by_chance=True))
+            sources["random_actions"] = (config.random_actions, self._act(both, policy, by_chance=True))
         if config.wrong_goal:
             sources["wrong_goal"] = (config.wrong_goal, self.demos.wrong_goals(expert))
         return {name: (weight, steps) for name, (weight, steps) in sources.items() if steps}
 
     @torch.no_grad()
-    def _act(self, shown: Sequence[Step], policy: Policy, by_chance: bool) -> list[Step]:
+    def _act(self, shown: Sequence[Step], policy: PolicyNet, by_chance: bool) -> list[Step]:
         """What the policy, or chance, would do on these pages.
 
         The policy's actions on the experts' pages are a difference that no memory of pages can explain. Chance
@@ -129,27 +130,27 @@ class Discriminator:
         does nothing wrong any more and the right action would be the only one ever called a policy's.
         """
         batch, _ = collate_steps(shown)
-        uniform = torch.rand(len(shown), 1, 3, generator=self._noise)
+        uniform = torch.rand(len(shown), 1, 3, generator=self._generator)
         actions, _ = policy.sample(batch, uniform, torch.tensor([by_chance]))
         return [Step(step.features, action) for step, action in zip(shown, actions.first(), strict=True)]
 
-    def _descend(self, sources: dict[str, tuple[float, list[Step]]], policy: Policy) -> dict[str, float]:
+    def _descend(self, sources: dict[str, tuple[float, list[Step]]], policy: PolicyNet) -> dict[str, float]:
         config, net = self.config, self.model.net
         net.train()
         batch, actions = collate_steps([step for _, steps in sources.values() for step in steps])
         page = batch
-        if config.rename:
-            batch = rename(batch, actions, config.rename, config.jitter, self._noise)
-        if config.dropout:  # it draws from torch's own generator, which no checkpoint holds
-            torch.manual_seed(int(torch.randint(1 << 62, (1,), generator=self._noise)))
-        read = net.read(batch, actions)
-        logits = net.judge(read).flatten()
+        if config.rename_prob:
+            batch = rename(batch, actions, config.rename_prob, config.position_jitter, self._generator)
+        read = net.encode(batch, actions)
+        logits = net.head(read).flatten()
         if config.form == "airl":
             with torch.no_grad():
                 logp, _, _ = policy.evaluate(page, actions)  # by the page's own words, which are all that it knows
             logits = logits - logp.flatten()
         parts = dict(zip(sources, logits.split([len(steps) for _, steps in sources.values()]), strict=True))
-        counted = {name: trimmed(part, config.trim) if name in OWN else part for name, part in parts.items()}
+        counted = {
+            name: trimmed(part, config.discard_top_fraction) if name in OWN else part for name, part in parts.items()
+        }
         loss = logistic_loss(parts[EXPERT], [(w, counted[name]) for name, (w, _) in sources.items() if name != EXPERT])
         penalty = config.gradient_penalty * gradient_penalty(logits, [read]) if config.gradient_penalty else 0 * loss
         self.optimiser.zero_grad()

@@ -11,14 +11,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from giirl_core.config import Config
-from learner.protocols import Ask, Learning, Net, Played, Read, Rewards, Source, Stats
+from learner.protocols import Learning, Net, Played, Read, RewardFn, Rewards, Source, Stats
 
 Observe = Callable[[int, Stats], None]
 
 
 def giirl(
     config: Config,
-    learner: Learning[Played, Read, Net, Rewards, Ask],
+    learner: Learning[Played, Read, Net, Rewards, RewardFn],
     source: Source[Played],
     steps: Iterable[int],
     observe: Observe,
@@ -26,9 +26,9 @@ def giirl(
     """Learn a reward and a policy together. `observe` publishes, reports and saves after every step."""
     demos, discriminator, policy = learner.demos, learner.discriminator, learner.policy
     for step in steps:
-        rollouts = learner.study(source.take(config.rollout_batch))  # collect tau_pi by executing pi on task xi
+        rollouts = learner.featurise(source.take(config.rollout_batch))  # collect tau_pi by executing pi on task xi
         expert = demos.sample(config.discriminator.batch)  # tau_E, g_E from D_E
         d = discriminator.update(expert, rollouts, policy.net)  # binary logistic regression (eq. 3.2)
         rewards = discriminator.rewards(rollouts, version=step + 1)  # r(s, a | g) = log D - log(1 - D)
-        p = policy.update(rollouts, rewards, discriminator.ask)  # policy optimisation (eq. 3.1)
+        p = policy.update(rollouts, rewards, discriminator.reward_fn)  # policy optimisation (eq. 3.1)
         observe(step, {**d, **p})

@@ -21,9 +21,9 @@ from giirl_core.types import Episode, Outcome, Trajectory, Weights
 from giirl_core.wire.messages import read_episodes, write_episodes
 from learner.actor_critic import ActorCritic
 from learner.cloning import Cloner
-from learner.data import Example, ExpertSampler, Replay, study
+from learner.data import Example, ExpertSampler, Replay, featurise_trajectory
 from learner.discriminator import Discriminator
-from learner.schedules import anneal, anneal_reward, fallen
+from learner.schedules import anneal, anneal_reward, linear_decay
 from learner.soft_q import SoftQ
 
 UNKNOWN_OUTCOME = Outcome(raw_reward=0.0, ended=False)  # replay is for training: it never knew
@@ -35,32 +35,34 @@ class Learner:
     def __init__(self, config: Config, demonstrations: Sequence[Trajectory], metrics: Metrics) -> None:
         torch.manual_seed(config.seed)
         self.vectors = load_vectors(config.net.vectors)
-        self._draw = np.random.default_rng([config.seed, 0])
-        self._noise = torch.Generator().manual_seed(config.seed)
-        self.demos = ExpertSampler(demonstrations, self.vectors, self._draw)
-        self.replay = Replay(config.discriminator.replay_size, self._draw)
+        self._rng = np.random.default_rng([config.seed, 0])
+        self._generator = torch.Generator().manual_seed(config.seed)
+        self.demos = ExpertSampler(demonstrations, self.vectors, self._rng)
+        self.replay = Replay(config.discriminator.replay_size, self._rng)
         self.discriminator = Discriminator(
             config.discriminator,
             build_reward(config),
             self.demos,
             self.replay,
-            self._draw,
-            self._noise,
+            self._rng,
+            self._generator,
             reward_lag=config.stream.reward_lag,
             metrics=metrics,
         )
         net = build_policy(config)
-        self.policy = ActorCritic(config.policy, net, self._noise, metrics=metrics)
-        self.cloner = Cloner(config.cloning, net, self._noise, metrics=metrics)
-        self.soft_q = SoftQ(config.soft_q, config.algorithm, net, self.replay, self._draw, self._noise, metrics=metrics)
+        self.policy = ActorCritic(config.policy, net, self._generator, metrics=metrics)
+        self.cloner = Cloner(config.cloning, net, self._generator, metrics=metrics)
+        self.soft_q = SoftQ(
+            config.soft_q, config.algorithm, net, self.replay, self._rng, self._generator, metrics=metrics
+        )
         self.config = config
         self.version = 0  # steps done
 
-    def study(self, trajectories: Sequence[Trajectory]) -> list[Example]:
+    def featurise(self, trajectories: Sequence[Trajectory]) -> list[Example]:
         """Trajectories as the nets see them."""
-        return [study(trajectory, self.vectors) for trajectory in trajectories]
+        return [featurise_trajectory(trajectory, self.vectors) for trajectory in trajectories]
 
-    def told(self, rollouts: Sequence[Example]) -> list[Tensor]:
+    def carried_rewards(self, rollouts: Sequence[Example]) -> list[Tensor]:
         """The rewards [T] that rollouts brought along, whoever gave them."""
         return [torch.from_numpy(example.trajectory.rewards) for example in rollouts]
 
@@ -69,13 +71,13 @@ class Learner:
         done = step / max(self.config.iterations - 1, 1)
         anneal_reward(self.discriminator, done)
         anneal(self.policy, done)
-        self.policy.entropy = fallen(self.config.policy.entropy, self.config.policy.final_entropy, done)
+        self.policy.entropy = linear_decay(self.config.policy.entropy, self.config.policy.final_entropy, done)
         anneal(self.cloner, done)
         anneal(self.soft_q, done)
 
-    def cloning_start(self) -> None:
-        """Clone for `policy.cloning_start` updates before anything else; none by default."""
-        for _ in range(self.config.policy.cloning_start):
+    def bc_warmup(self) -> None:
+        """Clone for `policy.bc_warmup_updates` updates before anything else; none by default."""
+        for _ in range(self.config.policy.bc_warmup_updates):
             self.cloner.update(self.demos.sample(self.config.cloning.batch))
         self.soft_q.follow(1.0)
 
@@ -103,8 +105,8 @@ class Learner:
             "version": self.version,
             "replay_seen": self.replay.seen,
             "discriminator_accuracy": self.discriminator.accuracy,
-            "draw": self._draw.bit_generator.state,
-            "noise": bytes(self._noise.get_state().tolist()).hex(),
+            "rng": self._rng.bit_generator.state,
+            "generator": bytes(self._generator.get_state().tolist()).hex(),
         }
         (folder / "learner.json").write_text(json.dumps(state, indent=2))
 
@@ -121,11 +123,11 @@ class Learner:
             load_net(net, Weights.seal(state["version"], (folder / f"{name}.safetensors").read_bytes()))
         for name, optimiser in self._optimisers().items():
             load_optimiser(optimiser, (folder / f"{name}_optimiser.safetensors").read_bytes())
-        self.replay.examples = self.study([e.trajectory for e in read_episodes(folder / "replay.giirl")])
+        self.replay.examples = self.featurise([e.trajectory for e in read_episodes(folder / "replay.giirl")])
         self.replay.seen = state["replay_seen"]
         self.discriminator.accuracy = state["discriminator_accuracy"]
-        self._draw.bit_generator.state = state["draw"]
-        self._noise.set_state(torch.tensor(list(bytes.fromhex(state["noise"])), dtype=torch.uint8))
+        self._rng.bit_generator.state = state["rng"]
+        self._generator.set_state(torch.tensor(list(bytes.fromhex(state["generator"])), dtype=torch.uint8))
         self.version = state["version"]
 
     def _nets(self) -> dict[str, nn.Module]:

@@ -62,7 +62,7 @@ def vtrace(
     values: Tensor,
     mask: Tensor,
     gamma: float,
-    clip: float,
+    clip: float = 1.0,
 ) -> tuple[Tensor, Tensor]:
     """Value targets v_s and policy-gradient advantages of V-trace (Espeholt et al. 2018, eq. 1 and section 4.2).
 

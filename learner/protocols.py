@@ -1,7 +1,7 @@
 """The parts that learn in one world, with the verbs that Algorithm 1 uses: of web pages or of a grid.
 
 `Played` is what a source plays, `Read` the same as nets read it, `Net` pi_theta, `Rewards` r(s_t, a_t | g) of
-rollouts, and `Ask` a function that tells r(s, a | g) of anything.
+rollouts, and `RewardFn` a function that tells r(s, a | g) of anything.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ Net_contra = TypeVar("Net_contra", contravariant=True)
 Rewards = TypeVar("Rewards")
 Rewards_co = TypeVar("Rewards_co", covariant=True)
 Rewards_contra = TypeVar("Rewards_contra", contravariant=True)
-Ask = TypeVar("Ask")
-Ask_co = TypeVar("Ask_co", covariant=True)
-Ask_contra = TypeVar("Ask_contra", contravariant=True)
+RewardFn = TypeVar("RewardFn")
+RewardFn_co = TypeVar("RewardFn_co", covariant=True)
+RewardFn_contra = TypeVar("RewardFn_contra", contravariant=True)
 
 Stats = dict[str, float]  # what an update tells, by name
 
@@ -39,39 +39,39 @@ class Demos(Protocol[Read_co]):
     def sample(self, episodes: int, /) -> Read_co: ...
 
 
-class RewardLearner(Protocol[Read_contra, Net_contra, Rewards_co, Ask_co]):
+class RewardLearner(Protocol[Read_contra, Net_contra, Rewards_co, RewardFn_co]):
     """D_phi, read as a reward."""
 
     @property
-    def ask(self) -> Ask_co: ...
+    def reward_fn(self) -> RewardFn_co: ...
 
     def update(self, expert: Read_contra, rollouts: Read_contra, policy: Net_contra, /) -> Stats: ...
 
     def rewards(self, rollouts: Read_contra, /, version: int) -> Rewards_co: ...
 
 
-class PolicyLearner(Protocol[Read_contra, Net_co, Rewards_contra, Ask_contra]):
+class PolicyLearner(Protocol[Read_contra, Net_co, Rewards_contra, RewardFn_contra]):
     """pi_theta and its optimiser."""
 
     @property
     def net(self) -> Net_co: ...
 
-    def update(self, rollouts: Read_contra, rewards: Rewards_contra, ask: Ask_contra, /) -> Stats: ...
+    def update(self, rollouts: Read_contra, rewards: Rewards_contra, reward_fn: RewardFn_contra, /) -> Stats: ...
 
 
-class Learning(Protocol[Played_contra, Read, Net, Rewards, Ask]):
+class Learning(Protocol[Played_contra, Read, Net, Rewards, RewardFn]):
     """All that Algorithm 1 needs."""
 
     @property
     def demos(self) -> Demos[Read]: ...
 
     @property
-    def discriminator(self) -> RewardLearner[Read, Net, Rewards, Ask]: ...
+    def discriminator(self) -> RewardLearner[Read, Net, Rewards, RewardFn]: ...
 
     @property
-    def policy(self) -> PolicyLearner[Read, Net, Rewards, Ask]: ...
+    def policy(self) -> PolicyLearner[Read, Net, Rewards, RewardFn]: ...
 
-    def study(self, episodes: Played_contra, /) -> Read: ...
+    def featurise(self, episodes: Played_contra, /) -> Read: ...
 
 
 class CloningLearner(Protocol[Read_contra]):
@@ -86,20 +86,24 @@ class QLearner(Protocol[Read_contra]):
     def update(self, expert: Read_contra, rollouts: Read_contra, /) -> Stats: ...
 
 
-class Cloning(Learning[Played_contra, Read, Net, Rewards, Ask], Protocol[Played_contra, Read, Net, Rewards, Ask]):
+class Cloning(
+    Learning[Played_contra, Read, Net, Rewards, RewardFn], Protocol[Played_contra, Read, Net, Rewards, RewardFn]
+):
     """A learner that can also do without a reward."""
 
     @property
     def cloner(self) -> CloningLearner[Read]: ...
 
 
-class Comparable(Cloning[Played_contra, Read, Net, Rewards, Ask], Protocol[Played_contra, Read, Net, Rewards, Ask]):
+class Comparable(
+    Cloning[Played_contra, Read, Net, Rewards, RewardFn], Protocol[Played_contra, Read, Net, Rewards, RewardFn]
+):
     """One that can do all that its own is compared with."""
 
     @property
-    def policy(self) -> PolicyLearner[Read, Net, Rewards, Ask | None]: ...
+    def policy(self) -> PolicyLearner[Read, Net, Rewards, RewardFn | None]: ...
 
     @property
     def soft_q(self) -> QLearner[Read]: ...
 
-    def told(self, rollouts: Read, /) -> Rewards: ...
+    def carried_rewards(self, rollouts: Read, /) -> Rewards: ...

@@ -16,7 +16,7 @@ class Rates(Protocol):
     def learning_rate(self) -> float: ...
 
     @property
-    def final_rate(self) -> float: ...
+    def final_lr_fraction(self) -> float: ...
 
 
 class Annealed(Protocol):
@@ -29,7 +29,7 @@ class Annealed(Protocol):
     def optimiser(self) -> torch.optim.Optimizer: ...
 
 
-class Judging(Protocol):
+class AnnealedReward(Protocol):
     """A discriminator."""
 
     @property
@@ -45,18 +45,18 @@ class Judging(Protocol):
 def anneal(part: Annealed, done: float) -> None:
     """Set the rate for when `done` in [0, 1] is over: a straight line from the first rate to the final one."""
     for group in part.optimiser.param_groups:
-        group["lr"] = fallen(part.config.learning_rate, part.config.final_rate, done)
+        group["lr"] = linear_decay(part.config.learning_rate, part.config.final_lr_fraction, done)
 
 
-def fallen(first: float, share: float, done: float) -> float:
+def linear_decay(first: float, share: float, done: float) -> float:
     """On a straight line from `first` to that share of it, when `done` in [0, 1] is over."""
     return first * (1 - done * (1 - share))
 
 
-def anneal_reward(discriminator: Judging, done: float) -> None:
-    """The same for a discriminator, or, with `slow="accuracy"`, as the policy improves (the thesis's future work, 5.1).
+def anneal_reward(discriminator: AnnealedReward, done: float) -> None:
+    """The same for a discriminator. `lr_schedule="accuracy"` lowers it as the policy improves (thesis, section 5.1).
 
     Then its rate is the final one where it cannot tell the newest rollouts from the expert any more.
     """
     caught_up = min(max(2.0 - 2.0 * discriminator.accuracy, 0.0), 1.0)
-    anneal(discriminator, caught_up if discriminator.config.slow == "accuracy" else done)
+    anneal(discriminator, caught_up if discriminator.config.lr_schedule == "accuracy" else done)

@@ -12,10 +12,13 @@ from torch import Tensor
 from giirl_core.config import SoftQConfig
 from giirl_core.metrics import Metrics, timed_update
 from giirl_core.nets.features import Batch, collate, rename
-from giirl_core.nets.models import Policy
+from giirl_core.nets.models import PolicyNet
 from learner.actor_critic import descend
 from learner.data import Example, Replay, Step, collate_steps
 from learner.losses import iq_loss, sqil_loss
+
+TARGET_RATE = 0.05  # how fast SQIL's target net follows
+CHI = 0.5  # of IQ-Learn; a larger one allows larger rewards
 
 
 class SoftQ:
@@ -30,15 +33,15 @@ class SoftQ:
         self,
         config: SoftQConfig,
         form: str,  # "sqil" or "iq_learn"
-        net: Policy,
+        net: PolicyNet,
         replay: Replay,
-        draw: np.random.Generator,
-        noise: torch.Generator,
+        rng: np.random.Generator,
+        generator: torch.Generator,
         *,
         metrics: Metrics,
     ) -> None:
         self.config, self.form, self.net, self.replay = config, form, net, replay
-        self._draw, self._noise, self._metrics = draw, noise, metrics
+        self._rng, self._generator, self._metrics = rng, generator, metrics
         self.optimiser = torch.optim.Adam(net.parameters(), lr=config.learning_rate)
         # Follows `net` slowly: SQIL's Q moves towards what it says of the next page. The table of words is shared.
         self.target = copy.deepcopy(net, {id(net.encoder.table): net.encoder.table}) if form == "sqil" else net
@@ -55,26 +58,24 @@ class SoftQ:
     def _descend(self, expert: Sequence[Example], played: Sequence[Example]) -> dict[str, float]:
         config = self.config
         shown = [expert[i % len(expert)] for i in range(config.batch)]
-        now, ahead = _transitions([*shown, *played], self._draw)
+        now, ahead = _transitions([*shown, *played], self._rng)
         batch, actions = collate_steps(now)
         later = collate([(there or here).features for here, there in zip(now, ahead, strict=True)])
-        if config.rename:  # both pages of a transition in the same other words
-            state = self._noise.get_state()
-            batch = rename(batch, actions, config.rename, config.jitter, self._noise)
-            self._noise.set_state(state)
-            later = rename(later, actions, config.rename, config.jitter, self._noise)
+        if config.rename_prob:  # both pages of a transition in the same other words
+            state = self._generator.get_state()
+            batch = rename(batch, actions, config.rename_prob, config.position_jitter, self._generator)
+            self._generator.set_state(state)
+            later = rename(later, actions, config.rename_prob, config.position_jitter, self._generator)
         logp, entropy, value = self.net.evaluate(batch, actions)
         goes_on = torch.tensor([there is not None for there in ahead])
         following = self._values_ahead(later, goes_on)
         q = value + config.temperature * logp.squeeze(1)
         implied, drop = q - config.gamma * following, value - config.gamma * following
         of_expert, of_policy = implied[: len(shown)], implied[len(shown) :]
-        loss = (
-            sqil_loss(of_expert, of_policy) if self.form == "sqil" else iq_loss(of_expert, of_policy, drop, config.chi)
-        )
-        descend(self.optimiser, self.net, loss, config.max_norm)
+        loss = sqil_loss(of_expert, of_policy) if self.form == "sqil" else iq_loss(of_expert, of_policy, drop, CHI)
+        descend(self.optimiser, self.net, loss)
         if self.target is not self.net:
-            self.follow(config.target_rate)
+            self.follow(TARGET_RATE)
         return {
             "p_loss": loss.item(),
             "p_entropy": entropy.mean().item(),
@@ -90,16 +91,16 @@ class SoftQ:
     def _values_ahead(self, ahead: Batch, goes_on: Tensor) -> Tensor:
         """V(s') [B], 0 where the episode is over. SQIL's stays while Q moves towards it, IQ-Learn's is learned."""
         with torch.set_grad_enabled(self.form == "iq_learn"):
-            return torch.where(goes_on, self.target.worth(ahead), 0.0)
+            return torch.where(goes_on, self.target.value_of(ahead), 0.0)
 
 
-def _transitions(examples: Sequence[Example], draw: np.random.Generator) -> tuple[list[Step], list[Step | None]]:
+def _transitions(examples: Sequence[Example], rng: np.random.Generator) -> tuple[list[Step], list[Step | None]]:
     """One step of each example, all equally likely, and the step after it, None after the last."""
     now: list[Step] = []
     ahead: list[Step | None] = []
     for example in examples:
         steps = [Step(f, a) for f, a in zip(example.features, example.trajectory.actions, strict=True)]
-        t = int(draw.integers(len(steps)))
+        t = int(rng.integers(len(steps)))
         now.append(steps[t])
         ahead.append(steps[t + 1] if t + 1 < len(steps) else None)
     return now, ahead

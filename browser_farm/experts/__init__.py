@@ -4,6 +4,6 @@ Each is a function from what a policy sees to an action that a policy could take
 """
 
 from browser_farm.experts import buttons, dates, drags, forms, games, lists, mail, posts, shapes  # noqa: F401  (each enters its experts)
-from browser_farm.experts.page_view import EXPERTS, Stuck, expert
+from browser_farm.experts.page_view import EXPERTS, NoAction, expert
 
-__all__ = ["EXPERTS", "Stuck", "expert"]
+__all__ = ["EXPERTS", "NoAction", "expert"]

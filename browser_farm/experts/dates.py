@@ -6,19 +6,19 @@ import calendar
 import re
 
 from browser_farm.experts.forms import take_suggestion
-from browser_farm.experts.page_view import Sight, plays
+from browser_farm.experts.page_view import PageView, expert_for
 from giirl_core.types import Action
 
 MONTHS = list(calendar.month_name)
 
 
-@plays("choose-date", "choose-date-easy", "choose-date-medium", "choose-date-nodelay")
-def choose_the_date(see: Sight) -> Action:
+@expert_for("choose-date", "choose-date-easy", "choose-date-medium", "choose-date-nodelay")
+def choose_the_date(see: PageView) -> Action:
     date = see.words(r"Select (\S+) as")
     return pick_date(see, see.row("input_text"), date) or see.press_button("Submit")
 
 
-def pick_date(see: Sight, field: int, date: str) -> Action | None:
+def pick_date(see: PageView, field: int, date: str) -> Action | None:
     """Open the calendar of a field, turn to the month and click the day; None when the field holds the date."""
     if see.page.value[field] == date:
         return None
@@ -33,8 +33,8 @@ def pick_date(see: Sight, field: int, date: str) -> Action | None:
     return see.click(see.row("a", str(day), "ui-state-default"))
 
 
-@plays("book-flight", "book-flight-nodelay")
-def book_the_best_flight(see: Sight) -> Action:
+@expert_for("book-flight", "book-flight-nodelay")
+def book_the_best_flight(see: PageView) -> Action:
     flights = see.rows(kind="flight")
     if flights:
         key = _price if "cheapest" in see.said else _minutes
@@ -45,7 +45,7 @@ def book_the_best_flight(see: Sight) -> Action:
     return action or see.press_button("Search")
 
 
-def _fly(see: Sight, field: int, place: str) -> Action | None:
+def _fly(see: PageView, field: int, place: str) -> Action | None:
     """Type the place and take the suggestion that has it; None when it was taken."""
     value = see.page.value[field]
     if place in value and value.endswith(")"):
@@ -53,10 +53,10 @@ def _fly(see: Sight, field: int, place: str) -> Action | None:
     return see.fill({field: place}) or take_suggestion(see, lambda name: place in name)
 
 
-def _price(see: Sight, flight: int) -> int:
+def _price(see: PageView, flight: int) -> int:
     return int(see.page.text[see.row("button", inside=flight)].partition("$")[2])
 
 
-def _minutes(see: Sight, flight: int) -> int:
+def _minutes(see: PageView, flight: int) -> int:
     hours, minutes = re.findall(r"\d+", see.page.text[see.row(kind="time-duration", inside=flight)])
     return 60 * int(hours) + int(minutes)

@@ -7,7 +7,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-from browser_farm.experts.page_view import ORDINAL, Sight, plays
+from browser_farm.experts.page_view import ORDINAL, PageView, expert_for
 from browser_farm.experts.shapes import kind, shapes
 from giirl_core.types import Action
 
@@ -26,8 +26,8 @@ PLACES = {  # of a tile: line and column
 }
 
 
-@plays("drag-circle", "drag-single-shape")
-def drag_in_a_direction(see: Sight) -> Action:
+@expert_for("drag-circle", "drag-single-shape")
+def drag_in_a_direction(see: PageView) -> Action:
     shape = shapes(see)[0]
     across, down = STEPS[see.words(r"Drag the \w+ (\w+) then")]
     if see.page.tampered[shape]:
@@ -35,52 +35,52 @@ def drag_in_a_direction(see: Sight) -> Action:
     return see.drag(shape, by=(30 * across, 30 * down))
 
 
-@plays("drag-box")
-def drag_the_box_inside(see: Sight) -> Action:
+@expert_for("drag-box")
+def drag_the_box_inside(see: PageView) -> Action:
     small, large = see.row("div", "s"), see.row("div", "L")
     if _inside(see, small, large):
         return see.press_button("Submit")
     return see.drag(small, to=large)
 
 
-def _inside(see: Sight, row: int, box: int) -> bool:
+def _inside(see: PageView, row: int, box: int) -> bool:
     """Whether a row lies wholly in a box."""
     left, top, width, height = see.page.box[row] - see.page.box[box]
     return bool(left > 0 and top > 0 and left + width < 0 and top + height < 0)
 
 
-def _boxes(see: Sight) -> list[int]:
+def _boxes(see: PageView) -> list[int]:
     return [row for row in see.rows("rect") if see.page.colour[row] == "none"]
 
 
-@plays("drag-shapes")
-def drag_shapes_into_the_box(see: Sight) -> Action:
+@expert_for("drag-shapes")
+def drag_shapes_into_the_box(see: PageView) -> Action:
     wanted = see.words(r"Drag all (\w+)s into")
     return _sort_into(see, {row: _boxes(see)[0] for row in _loose(see) if kind(see, row) == wanted})
 
 
-@plays("drag-shapes-2")
-def drag_shapes_into_two_boxes(see: Sight) -> Action:
+@expert_for("drag-shapes-2")
+def drag_shapes_into_two_boxes(see: PageView) -> Action:
     wanted = see.words(r"Drag all (\w+?)(?:s| shapes) into")
     left, right = _boxes(see)
     loose = _loose(see)
     return _sort_into(see, {row: left if wanted in (kind(see, row), see.page.colour[row]) else right for row in loose})
 
 
-def _loose(see: Sight) -> list[int]:
+def _loose(see: PageView) -> list[int]:
     boxes = set(_boxes(see))
     return [row for row in shapes(see) if row not in boxes]
 
 
-def _sort_into(see: Sight, boxes: dict[int, int]) -> Action:
+def _sort_into(see: PageView, boxes: dict[int, int]) -> Action:
     for row, box in boxes.items():
         if not _inside(see, row, box):
             return see.drag(row, to=box)
     return see.press_button("Submit")
 
 
-@plays("drag-items")
-def drag_the_item(see: Sight) -> Action:
+@expert_for("drag-items")
+def drag_the_item(see: PageView) -> Action:
     items = see.rows("li")
     names = [see.reading(item) for item in items]
     name, where = re.findall(r"Drag (.+?) (?:to the |)(top|bottom|up|down|\d+\w\w)\b", see.said)[0]
@@ -90,8 +90,8 @@ def drag_the_item(see: Sight) -> Action:
     return _reorder(see, items, start, end)
 
 
-@plays("drag-items-grid")
-def drag_the_tile(see: Sight) -> Action:
+@expert_for("drag-items-grid")
+def drag_the_tile(see: PageView) -> Action:
     items = see.rows("li")
     name, where = re.findall(r"Drag (.+?) (?:to the (.+)|\w+ by one)\.$", see.said)[0]
     line, column = divmod([see.reading(item) for item in items].index(name), 3)
@@ -107,8 +107,8 @@ def drag_the_tile(see: Sight) -> Action:
     return see.drag(tile, to=place, by=(across, -6.0 if upwards else 0.0))
 
 
-@plays("drag-sort-numbers")
-def sort_the_numbers(see: Sight) -> Action:
+@expert_for("drag-sort-numbers")
+def sort_the_numbers(see: PageView) -> Action:
     items = see.rows("li")
     numbers = [int(see.reading(item)) for item in items]
     for place, number in enumerate(sorted(numbers)):
@@ -117,13 +117,13 @@ def sort_the_numbers(see: Sight) -> Action:
     return see.press_button("Submit")
 
 
-def _reorder(see: Sight, items: list[int], start: int, end: int) -> Action:
+def _reorder(see: PageView, items: list[int], start: int, end: int) -> Action:
     """Drop an item of a list a little past the middle of the one whose place it takes."""
     return see.drag(items[start], to=items[end], by=(0.0, 4.0 if end > start else -4.0))
 
 
-@plays("resize-textarea")
-def resize_the_field(see: Sight) -> Action:
+@expert_for("resize-textarea")
+def resize_the_field(see: PageView) -> Action:
     across, larger = "width" in see.said, "larger" in see.said
     grip = see.row(kind="ui-resizable-e" if across else "ui-resizable-s")
     if see.page.tampered[grip]:
@@ -132,8 +132,8 @@ def resize_the_field(see: Sight) -> Action:
     return see.drag(grip, by=(change, 0.0) if across else (0.0, change))
 
 
-@plays("draw-line")
-def draw_through_the_dot(see: Sight) -> Action:
+@expert_for("draw-line")
+def draw_through_the_dot(see: PageView) -> Action:
     if see.rows("path"):
         return see.press_button("Submit")
     across, down = STEPS["right" if "horizontal" in see.said else "down"]
@@ -142,8 +142,8 @@ def draw_through_the_dot(see: Sight) -> Action:
     return see.drag(dot, at=(-24 * across, -24 * down), by=(48 * across + down, 48 * down + across))
 
 
-@plays("highlight-text", "highlight-text-2")
-def select_the_text(see: Sight) -> Action:
+@expert_for("highlight-text", "highlight-text-2")
+def select_the_text(see: PageView) -> Action:
     nth = re.search(ORDINAL, see.said)
     texts = see.rows("p") or [row for row in see.rows("div") if see.page.text[row]]
     text = texts[int(nth[1]) - 1 if nth else 0]
@@ -153,16 +153,16 @@ def select_the_text(see: Sight) -> Action:
     return see.drag(text, at=(-width / 2, 1 - height / 2), by=(width, height - 2))
 
 
-@plays("scroll-text-2")
-def scroll_the_text(see: Sight) -> Action:
+@expert_for("scroll-text-2")
+def scroll_the_text(see: PageView) -> Action:
     area = see.row("textarea")
     if see.page.tampered[area]:
         return see.press_button("Submit")
     return see.scroll(area, -5000.0 if "top" in see.said else 5000.0)
 
 
-@plays("sign-agreement")
-def sign_or_cancel(see: Sight) -> Action:
+@expert_for("sign-agreement")
+def sign_or_cancel(see: PageView) -> Action:
     if not see.quoted():
         return see.press_button("Cancel")
     name, button = see.quoted()
@@ -172,26 +172,26 @@ def sign_or_cancel(see: Sight) -> Action:
     return see.fill({see.row("input_text"): name}) or see.press_button(button)
 
 
-@plays("use-slider")
-def slide_to_the_number(see: Sight) -> Action:
+@expert_for("use-slider")
+def slide_to_the_number(see: PageView) -> Action:
     return _slide(see, see.rows("span", kind="ui-slider-handle"), [int(see.words(r"Select (-?\d+) with"))])
 
 
-@plays("use-slider-2")
-def slide_three(see: Sight) -> Action:
+@expert_for("use-slider-2")
+def slide_three(see: PageView) -> Action:
     wanted = [int(number) for number in see.words(r"\[(.+)\]").split(",")]
     return _slide(see, see.rows("span", kind="ui-slider-handle"), wanted)
 
 
-@plays("form-sequence")
-def slide_and_check(see: Sight) -> Action:
+@expert_for("form-sequence")
+def slide_and_check(see: PageView) -> Action:
     box = see.rows("input_checkbox")[int(see.words(ORDINAL)) - 1]
     if see.page.value[box] != "checked":
         return see.click(box)
     return slide_to_the_number(see)
 
 
-def _slide(see: Sight, handles: list[int], wanted: list[int]) -> Action:
+def _slide(see: PageView, handles: list[int], wanted: list[int]) -> Action:
     """Press keys in the handles until the numbers beside them are right, then submit."""
     shown = [int(text) for text in see.page.text if re.fullmatch(r"-?\d+", text)]
     for handle, now, goal in zip(handles, shown, wanted, strict=True):
@@ -202,8 +202,8 @@ def _slide(see: Sight, handles: list[int], wanted: list[int]) -> Action:
     return see.press_button("Submit")
 
 
-@plays("daily-calendar")
-def enter_an_event(see: Sight) -> Action:
+@expert_for("daily-calendar")
+def enter_an_event(see: PageView) -> Action:
     """Drag over as many half hours as the event takes, where none of the others lies; then name it."""
     named = see.rows("input_text")
     if named:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import re
 
-from browser_farm.experts.page_view import Sight, plays
+from browser_farm.experts.page_view import PageView, expert_for
 from giirl_core.types import Action
 
 LINES = ((0, 1, 2), (3, 4, 5), (6, 7, 8), (0, 3, 6), (1, 4, 7), (2, 5, 8), (0, 4, 8), (2, 4, 6))
@@ -14,8 +14,8 @@ US, THEM = 1, -1
 Board = tuple[int, ...]  # nine cells: 1 ours, -1 theirs, 0 free
 
 
-@plays("generate-number")
-def generate_until_it_fits(see: Sight) -> Action:
+@expert_for("generate-number")
+def generate_until_it_fits(see: PageView) -> Action:
     shown = next(see.page.text[row] for row in see.rows("div") if re.fullmatch(r"-|\d+", see.page.text[row]))
     bound = re.search(r"(less|greater) than (\d+)|(odd|even) number", see.said)
     assert bound is not None
@@ -28,8 +28,8 @@ def generate_until_it_fits(see: Sight) -> Action:
     return see.press_button("Submit" if fits else "Generate")
 
 
-@plays("guess-number")
-def guess_by_halves(see: Sight) -> Action:
+@expert_for("guess-number")
+def guess_by_halves(see: PageView) -> Action:
     """Each number has one place in the tree of halves, so the last answer alone says where the search is."""
     field = see.row("input_number")
     text = see.reading(0)
@@ -46,15 +46,15 @@ def guess_by_halves(see: Sight) -> Action:
     return see.fill({field: guess}) or see.press_button("Submit")
 
 
-@plays("stock-market")
-def buy_when_it_is_cheap(see: Sight) -> Action:
+@expert_for("stock-market")
+def buy_when_it_is_cheap(see: PageView) -> Action:
     limit = float(see.words(r"less than \$([\d.]+)\.$"))
     prices = [float(text[1:]) for text in see.page.text if re.fullmatch(r"\$[\d.]+", text)]
     return see.press_button("Buy") if prices and prices[0] < limit else see.wait()
 
 
-@plays("tic-tac-toe")
-def play_for_the_win(see: Sight) -> Action:
+@expert_for("tic-tac-toe")
+def play_for_the_win(see: PageView) -> Action:
     """Best play: the other player is careless only half of the time, so even it does not always win."""
     cells = [cell for line in see.rows(kind="ttt-row") for cell in see.rows("span", inside=line)]
     board = tuple(US if see.has(cell, "mark-x") else THEM if see.has(cell, "mark-o") else 0 for cell in cells)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from browser_farm.experts.page_view import Sight, plays
+from browser_farm.experts.page_view import PageView, expert_for
 from giirl_core.types import Action
 
 SYNONYMS = tuple(
@@ -67,11 +67,11 @@ DIGITS = (  # rows of four boxes from the top, 8 4 2 1
 )
 
 
-def _box_beside(see: Sight, label: int) -> int:
+def _box_beside(see: PageView, label: int) -> int:
     return next(row for row in see.page.below(label) if see.page.tag[row] in ("input_checkbox", "input_radio"))
 
 
-def _check(see: Sight, wanted: set[str]) -> Action:
+def _check(see: PageView, wanted: set[str]) -> Action:
     """Make the labelled boxes that are checked the wanted ones, then submit."""
     for label in see.rows("label"):
         box = _box_beside(see, label)
@@ -80,20 +80,20 @@ def _check(see: Sight, wanted: set[str]) -> Action:
     return see.press_button("Submit")
 
 
-@plays("click-checkboxes", "click-checkboxes-large", "click-checkboxes-transfer", "click-option")
-def check_the_named(see: Sight) -> Action:
+@expert_for("click-checkboxes", "click-checkboxes-large", "click-checkboxes-transfer", "click-option")
+def check_the_named(see: PageView) -> Action:
     names = see.words(r"Select (.+) and click Submit")
     return _check(see, set() if names == "nothing" else set(names.split(", ")))
 
 
-@plays("click-checkboxes-soft")
-def check_the_similar(see: Sight) -> Action:
+@expert_for("click-checkboxes-soft")
+def check_the_similar(see: PageView) -> Action:
     named = see.words(r"similar to (.+) and click Submit").split(", ")
     return _check(see, set().union(*(group for group in SYNONYMS if group & set(named))))
 
 
-@plays("number-checkboxes")
-def draw_a_digit(see: Sight) -> Action:
+@expert_for("number-checkboxes")
+def draw_a_digit(see: PageView) -> Action:
     wanted = [bool(line & bit) for line in DIGITS[int(see.quoted()[0])] for bit in (8, 4, 2, 1)]
     for box, on in zip(see.rows("input_checkbox"), wanted, strict=True):
         if (see.page.value[box] == "checked") != on:
@@ -101,8 +101,8 @@ def draw_a_digit(see: Sight) -> Action:
     return see.press_button("Submit")
 
 
-@plays("choose-list", "click-scroll-list")
-def choose_from_the_list(see: Sight) -> Action:
+@expert_for("choose-list", "click-scroll-list")
+def choose_from_the_list(see: PageView) -> Action:
     for name in see.words(r"Select (.+) from the (?:scroll )?list").split(", "):
         option = see.row("option", name)
         if see.page.value[option] != "checked":
@@ -110,8 +110,8 @@ def choose_from_the_list(see: Sight) -> Action:
     return see.press_button("Submit")
 
 
-@plays("odd-or-even")
-def mark_odd_and_even(see: Sight) -> Action:
+@expert_for("odd-or-even")
+def mark_odd_and_even(see: PageView) -> Action:
     for row in see.rows("div", kind="row"):
         number = int(see.page.text[see.row("div", kind="display-number", inside=row)])
         button = see.row("button", kind="odd" if number % 2 else "even", inside=row)
@@ -120,8 +120,8 @@ def mark_odd_and_even(see: Sight) -> Action:
     return see.press_button("Submit")
 
 
-@plays("order-food")
-def order_the_dishes(see: Sight) -> Action:
+@expert_for("order-food")
+def order_the_dishes(see: PageView) -> Action:
     dishes = {see.page.text[row]: see.above(row, kind="food-item") for row in see.rows(kind="item-name")}
     kind = re.search(r"Order (\d+) items that are (\S+)", see.said)
     if kind is None:
@@ -136,8 +136,8 @@ def order_the_dishes(see: Sight) -> Action:
     return see.press_button("Order!")
 
 
-@plays("buy-ticket")
-def buy_the_best_ticket(see: Sight) -> Action:
+@expert_for("buy-ticket")
+def buy_the_best_ticket(see: PageView) -> Action:
     wanted = see.words(r"with the (\w+ \w+(?: \w+)?)\.")
     flights = see.rows(kind="flight")
 
@@ -153,8 +153,8 @@ def buy_the_best_ticket(see: Sight) -> Action:
     return see.click(see.row("button", inside=best))
 
 
-@plays("phone-book")
-def find_the_contact(see: Sight) -> Action:
+@expert_for("phone-book")
+def find_the_contact(see: PageView) -> Action:
     name, what = see.words(r"Find (.+) in the"), see.words(r"click on their (\w+)")
     if see.page.text[see.row(kind="name")] == name:
         return see.click(see.row("a", kind=what))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from browser_farm.experts.page_view import Sight, plays
+from browser_farm.experts.page_view import PageView, expert_for
 from giirl_core.types import Action
 
 NAME = r"([A-Z][\w-]+(?: [A-Z][a-z]+)?)"
@@ -19,7 +19,7 @@ DELETE = r"(?i)delete|get rid|don't want|trash|remove|erase|garbage|throw|out of
 STAR = r"(?i)important|star\b|flag|mark"
 
 
-@plays(
+@expert_for(
     "email-inbox",
     "email-inbox-delete",
     "email-inbox-forward",
@@ -28,7 +28,7 @@ STAR = r"(?i)important|star\b|flag|mark"
     "email-inbox-reply",
     "email-inbox-star-reply",
 )
-def do_what_is_asked(see: Sight) -> Action:
+def do_what_is_asked(see: PageView) -> Action:
     sender = see.words(r"email by (.+?) and (?:click|reply|forward)")
     if "trash" in see.said or "star icon" in see.said:
         return _click_the_icon(see, sender, "trash" if "trash" in see.said else "star")
@@ -37,8 +37,8 @@ def do_what_is_asked(see: Sight) -> Action:
     return _write(see, sender, "forward", see.words(r"forward that email to (.+)\.$"))
 
 
-@plays("email-inbox-nl-turk", "email-inbox-forward-nl", "email-inbox-forward-nl-turk")
-def do_what_is_wished(see: Sight) -> Action:
+@expert_for("email-inbox-nl-turk", "email-inbox-forward-nl", "email-inbox-forward-nl-turk")
+def do_what_is_wished(see: PageView) -> Action:
     """People's own words. A few of them have sender and recipient the wrong way round; those are lost."""
     reply, delete, star = ('"' in see.said, re.search(DELETE, see.said), re.search(STAR, see.said))
     found = (re.search(pattern, see.said) for pattern in RECIPIENT)
@@ -52,12 +52,12 @@ def do_what_is_wished(see: Sight) -> Action:
     return _write(see, sender, "forward", recipient)
 
 
-def _click_the_icon(see: Sight, sender: str, icon: str) -> Action:
+def _click_the_icon(see: PageView, sender: str, icon: str) -> Action:
     thread = see.above(see.row(text=sender, kind="email-sender"), kind="email-thread")
     return see.click(see.row("span", kind=icon, inside=thread))
 
 
-def _write(see: Sight, sender: str, how: str, text: str) -> Action:
+def _write(see: PageView, sender: str, how: str, text: str) -> Action:
     """Open the email, press Reply or Forward, fill in, send."""
     if see.rows(kind="email-thread"):
         return see.click(see.row(text=sender, kind="email-sender"))
@@ -67,7 +67,7 @@ def _write(see: Sight, sender: str, how: str, text: str) -> Action:
     return see.fill({field: text}) or see.click(_send(see))
 
 
-def _send(see: Sight) -> int:
+def _send(see: PageView) -> int:
     """The icon on the right of the bar on top."""
     icons = [row for row in see.rows("span") if see.page.leaf[row] and not see.page.text[row]]
     return max(icons, key=lambda row: float(see.page.box[row, 0]))

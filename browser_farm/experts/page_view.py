@@ -16,7 +16,7 @@ ORDINAL = re.compile(r"\b(\d+)(?:st|nd|rd|th)\b")
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class PageView:
     """One observation, the very one that a policy gets. Whatever is not on the page is a ValueError."""
 
     seen: Observation
@@ -137,15 +137,15 @@ class Sight:
         return None
 
 
-class Stuck(ValueError):
+class NoAction(ValueError):
     """The expert finds nothing to do on a page."""
 
 
-Player = Callable[[Sight], Action]
+Player = Callable[[PageView], Action]
 EXPERTS: dict[str, Player] = {}
 
 
-def plays(*tasks: str) -> Callable[[Player], Player]:
+def expert_for(*tasks: str) -> Callable[[Player], Player]:
     """Name the tasks that a function plays."""
 
     def enter(player: Player) -> Player:
@@ -166,8 +166,8 @@ def expert(task: str) -> Callable[[Observation], Action]:
 
     def play(seen: Observation) -> Action:
         try:
-            return player(Sight(seen))
+            return player(PageView(seen))
         except (ValueError, LookupError, StopIteration) as error:
-            raise Stuck(f"the expert of {seen.episode} finds nothing to do: {error}") from error
+            raise NoAction(f"the expert of {seen.episode} finds nothing to do: {error}") from error
 
     return play

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import re
 
-from browser_farm.experts.page_view import Sight, plays
+from browser_farm.experts.page_view import PageView, expert_for
 from giirl_core.types import Action
 
 
-def _posts(see: Sight, user: str) -> list[int]:
+def _posts(see: PageView, user: str) -> list[int]:
     return [see.above(row, kind="media") for row in see.rows("span", user, "username")]
 
 
-@plays("social-media")
-def press_below_the_post(see: Sight) -> Action:
+@expert_for("social-media")
+def press_below_the_post(see: PageView) -> Action:
     user, label = see.words(r"user (@[^\s,]+),"), see.quoted()[0]
     post = _posts(see, user)[0]
     if label in ("Reply", "Retweet", "Like"):
@@ -22,8 +22,8 @@ def press_below_the_post(see: Sight) -> Action:
     return see.click(entries[0] if entries else see.row("span", kind="more", inside=post))
 
 
-@plays("social-media-all", "social-media-some")
-def press_below_many_posts(see: Sight) -> Action:
+@expert_for("social-media-all", "social-media-some")
+def press_below_many_posts(see: PageView) -> Action:
     label, user = see.quoted()[0].lower(), see.words(r"by (@\S+) and then")
     buttons = [see.row("span", kind=label, inside=post) for post in _posts(see, user)]
     amount = re.search(r"on (\d+) post", see.said)

@@ -63,7 +63,7 @@ WRITING = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Package:
+class MiniWoBAdapter:
     """How the miniwob package would speak of one task."""
 
     task: str
@@ -78,7 +78,7 @@ class Package:
         action_space_config: str | ActionSpaceConfig = "all_supported",
         field_extractor: Callable[[str], Fields] | None = None,
         reward_processor: Callable[[Mapping[str, Any]], float] | None = None,
-    ) -> Package:
+    ) -> MiniWoBAdapter:
         """With the package's own defaults; ValueError for an unknown preset or a key that no page would hear."""
         config = action_space_config
         if isinstance(config, str):

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from browser_farm.farm import ChromeFarm
-from browser_farm.gym.adapter import Fields, Observed, Package, Wanted
+from browser_farm.gym.adapter import Fields, MiniWoBAdapter, Observed, Wanted
 from browser_farm.gym.elements import ELEMENTS
-from browser_farm.gym.slot import Conduct, Place, checked_render_mode
+from browser_farm.gym.slot import EnvSlot, ResetOptions, checked_render_mode
 
 Told = tuple[Observed, float, bool, bool, dict[str, Any]]
 
@@ -48,12 +48,12 @@ class MiniWoB(gymnasium.Env[Observed, Wanted]):
         call_timeout_s: float = 10.0,
     ) -> None:
         self.render_mode = checked_render_mode(render_mode, self.metadata["render_modes"])
-        self.package = Package.of(task, action_space_config, field_extractor, reward_processor)
+        self.package = MiniWoBAdapter.of(task, action_space_config, field_extractor, reward_processor)
         self.action_space_config = self.package.action_space_config
         self.action_space, self.observation_space = self.package.action_space, self.package.observation_space
-        self._conduct = Conduct(data_mode=data_mode, record_screenshots=record_screenshots)
+        self._conduct = ResetOptions(data_mode=data_mode, record_screenshots=record_screenshots)
         self._tree = root_dom
-        self._place = Place(self.package)
+        self._place = EnvSlot(self.package)
         self._ending: tuple[float, bool, bool, dict[str, Any]] | None = None
         self._farm = ChromeFarm(
             tabs=1, view=ELEMENTS, headless=render_mode != "human", trusted=trusted, call_timeout_s=call_timeout_s
@@ -64,7 +64,7 @@ class MiniWoB(gymnasium.Env[Observed, Wanted]):
     ) -> tuple[Observed, dict[str, Any]]:
         """Open the page of this seed; `options` may set "data_mode" and "record_screenshots" from now on."""
         super().reset(seed=seed)
-        self._conduct = self._conduct.heeding(options)
+        self._conduct = self._conduct.updated(options)
         self._place.begin(self._farm.reset({0: self._place.draw(self.np_random, self._conduct, seed)})[0])
         self._ending = None
         return self._observed(), self._place.info(tree=self._tree)

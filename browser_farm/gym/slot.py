@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from browser_farm.gym.adapter import Fields, Observed, Package, Wanted, root_dom
+from browser_farm.gym.adapter import Fields, MiniWoBAdapter, Observed, Wanted, root_dom
 from browser_farm.gym.elements import Elements, elements_of
 from giirl_core.types import Command, EpisodeSpec, Observation, StepResult
 
@@ -19,7 +19,7 @@ OPENING = StepResult(raw_reward=0.0, done=False, observation=None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Conduct:
+class ResetOptions:
     """What may change from one reset to the next."""
 
     data_mode: str = "train"
@@ -29,7 +29,7 @@ class Conduct:
         if self.data_mode not in MODES:
             raise ValueError(f"data_mode is {self.data_mode!r}, wanted one of: {', '.join(MODES)}")
 
-    def heeding(self, options: Mapping[str, Any] | None) -> Conduct:
+    def updated(self, options: Mapping[str, Any] | None) -> ResetOptions:
         """As the options of a reset say; ValueError for one that is unknown."""
         unknown = set(options or ()) - {"data_mode", "record_screenshots"}
         if unknown:
@@ -37,16 +37,16 @@ class Conduct:
         return replace(self, **(options or {}))
 
 
-class Place:
+class EnvSlot:
     """What one environment shows."""
 
-    def __init__(self, package: Package) -> None:
+    def __init__(self, package: MiniWoBAdapter) -> None:
         self.package = package
         self.seed = 0
         self.page: Elements | None = None  # None before the first episode and when one is over
         self.fields: Fields = ()
 
-    def draw(self, generator: np.random.Generator, conduct: Conduct, seed: int | None = None) -> EpisodeSpec:
+    def draw(self, generator: np.random.Generator, conduct: ResetOptions, seed: int | None = None) -> EpisodeSpec:
         """The page of this seed, or one that the generator draws."""
         drawn = int(generator.integers(SEEDS)) if seed is None else seed
         return EpisodeSpec(task=self.package.task, seed=drawn, mode=conduct.data_mode)

@@ -16,18 +16,18 @@ from gymnasium.vector.utils import batch_space, iterate
 from numpy.typing import NDArray
 
 from browser_farm.farm import ChromeFarm
-from browser_farm.gym.adapter import Fields, Observed, Package, Wanted
+from browser_farm.gym.adapter import Fields, MiniWoBAdapter, Observed, Wanted
 from browser_farm.gym.elements import ELEMENTS
-from browser_farm.gym.slot import Conduct, Place, checked_render_mode
+from browser_farm.gym.slot import EnvSlot, ResetOptions, checked_render_mode
 from giirl_core.types import Command, EpisodeSpec, Observation, StepResult
 
 Flags = NDArray[np.bool_]
 
 
-class Turn(Place):
+class VectorSlot(EnvSlot):
     """A place whose episodes follow one another."""
 
-    def __init__(self, package: Package) -> None:
+    def __init__(self, package: MiniWoBAdapter) -> None:
         super().__init__(package)
         self.generator, _ = np_random(None)
         self.following: EpisodeSpec | None = None  # what the farm opens when this episode ends
@@ -69,7 +69,7 @@ class MiniWoBVector(VectorEnv[Observed, Any, NDArray[Any]]):
         if num_envs < 1 or (max_episode_steps is not None and max_episode_steps < 1):
             raise ValueError(f"num_envs is {num_envs}, max_episode_steps {max_episode_steps}: wanted at least 1")
         tasks = [task] if isinstance(task, str) else list(task)
-        packages = [Package.of(each, action_space_config, field_extractor, reward_processor) for each in tasks]
+        packages = [MiniWoBAdapter.of(each, action_space_config, field_extractor, reward_processor) for each in tasks]
         if len({package.size for package in packages}) != 1:
             raise ValueError(f"the pages of {', '.join(tasks)} differ in size: wanted tasks that share a space")
         self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
@@ -79,8 +79,8 @@ class MiniWoBVector(VectorEnv[Observed, Any, NDArray[Any]]):
         )
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._places = [Turn(packages[at % len(packages)]) for at in range(num_envs)]
-        self._conduct = Conduct(data_mode=data_mode, record_screenshots=record_screenshots)
+        self._places = [VectorSlot(packages[at % len(packages)]) for at in range(num_envs)]
+        self._conduct = ResetOptions(data_mode=data_mode, record_screenshots=record_screenshots)
         self._tree = root_dom
         self._farm = ChromeFarm(
             tabs=num_envs,
@@ -94,7 +94,7 @@ class MiniWoBVector(VectorEnv[Observed, Any, NDArray[Any]]):
         self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Observed, dict[str, Any]]:
         """Open a page in each place: of the seeds given, of `seed`, `seed + 1`, ..., or of what each draws."""
-        self._conduct = self._conduct.heeding(options)
+        self._conduct = self._conduct.updated(options)
         seeds = [seed + at for at in range(self.num_envs)] if isinstance(seed, int) else seed or [None] * self.num_envs
         if len(seeds) != self.num_envs:
             raise ValueError(f"reset got {len(seeds)} seeds, wanted one for each of {self.num_envs} environments")
@@ -136,7 +136,7 @@ class MiniWoBVector(VectorEnv[Observed, Any, NDArray[Any]]):
         del kwargs
         self._farm.close()
 
-    def _numbered(self) -> list[tuple[int, Turn]]:
+    def _numbered(self) -> list[tuple[int, VectorSlot]]:
         return list(enumerate(self._places))
 
     def _begin(self, observations: Mapping[int, Observation]) -> None:
@@ -145,7 +145,7 @@ class MiniWoBVector(VectorEnv[Observed, Any, NDArray[Any]]):
             place.begin(observation)
             place.steps, place.following, place.opened = 0, None, None
 
-    def _command(self, place: Turn, action: Wanted | None) -> Command:
+    def _command(self, place: VectorSlot, action: Wanted | None) -> Command:
         place.following = place.following or place.draw(place.generator, self._conduct)
         return place.command(action, place.following)
 
@@ -158,7 +158,7 @@ class MiniWoBVector(VectorEnv[Observed, Any, NDArray[Any]]):
         opened = self._farm.reset({at: episode for at, episode in missing.items() if episode})
         self._begin({**{at: page for at, page in there.items() if page}, **opened})
 
-    def _advance(self, place: Turn, result: StepResult) -> bool:
+    def _advance(self, place: VectorSlot, result: StepResult) -> bool:
         """Show what an action led to; True where that cuts the episode off."""
         place.advance(result)
         place.steps += 1

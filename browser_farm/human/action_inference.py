@@ -7,7 +7,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from browser_farm.human.gestures import CAPTURE, CLICKING_KINDS, TAB, Gesture, Kind, State, Unrepairable, gestures_of
+from browser_farm.human.gestures import (
+    CAPTURE,
+    CLICKING_KINDS,
+    TAB,
+    Gesture,
+    Kind,
+    State,
+    UnsupportedRecording,
+    gestures_of,
+)
 from browser_farm.human.recorded_pages import Node, Screen
 from giirl_core.types import TYPABLE_TAGS, Verb
 
@@ -61,7 +70,7 @@ def repair(states: Sequence[State], *, strict: bool = True) -> list[Step]:
             step = replace(steps.pop(), text=step.text)  # typed on in the same field
         steps.append(step)
     if not steps:
-        raise Unrepairable("no action")
+        raise UnsupportedRecording("no action")
     if strict:
         _check_toggles(states, steps)
     return steps
@@ -82,7 +91,7 @@ class _Moment:
         """The action this gesture stands for, None when it had no effect."""
         aimed = (self.gesture.down, self.gesture.target)
         if any(node is not None and node.tag in NATIVE_LISTS for node in aimed):
-            raise Unrepairable("native list")
+            raise UnsupportedRecording("native list")
         return self._typed() if self.gesture.kind is Kind.KEYS else self._clicked()
 
     def unnoticed(self) -> bool:
@@ -96,7 +105,7 @@ class _Moment:
         if (step is None and (self.last or not self._inert(boxes=False))) or (
             self.last and ENTER in self.gesture.codes
         ):
-            raise Unrepairable("unsupported key")
+            raise UnsupportedRecording("unsupported key")
         return step
 
     def _clicked(self) -> Step | None:
@@ -113,7 +122,7 @@ class _Moment:
         if idle and not self.last:
             return None
         if self.gesture.kind is Kind.PRESS and not self.last and _ref(self.gesture.down) != _ref(target):
-            raise Unrepairable("drag")
+            raise UnsupportedRecording("drag")
         return self._click(row if leaf else self._leaf(row))
 
     def _aim(self) -> Node | None:
@@ -165,7 +174,7 @@ class _Moment:
                 if text == self._screen.nodes[row].value:
                     return None
                 if field.tag not in TYPABLE_TAGS:
-                    raise Unrepairable("field takes no text")
+                    raise UnsupportedRecording("field takes no text")
                 return Step(state=self.before, verb=Verb.TYPE, row=row, ref=field.ref, text=text)
         return None
 
@@ -189,7 +198,7 @@ class _Moment:
             return min(leaves, key=lambda leaf: _distance(screen.nodes[leaf].box, at.x, at.y))
         if row >= 0 and not self.strict:
             return row
-        raise Unrepairable("acts on a container" if row >= 0 else "acts outside the task")
+        raise UnsupportedRecording("acts on a container" if row >= 0 else "acts outside the task")
 
 
 def _check_toggles(states: Sequence[State], steps: Sequence[Step]) -> None:
@@ -203,9 +212,9 @@ def _check_toggles(states: Sequence[State], steps: Sequence[Step]) -> None:
             clicked = step is not opening and node.ref == step.ref
             flipped = later.nodes[later.row_of[node.ref]].value != node.value
             if node.tag == "input_checkbox" and flipped != clicked:
-                raise Unrepairable("checkboxes do not follow")
+                raise UnsupportedRecording("checkboxes do not follow")
             if clicked and later.nodes[later.row_of[node.ref]].value != "checked" and node.tag == "input_radio":
-                raise Unrepairable("checkboxes do not follow")
+                raise UnsupportedRecording("checkboxes do not follow")
 
 
 def _flipped(node: Node, later: Screen) -> bool:

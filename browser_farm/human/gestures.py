@@ -17,7 +17,7 @@ CLICKING_KINDS = frozenset({"mousedown", "mouseup", "click"})
 IDLE_KINDS = frozenset({"keypress", "keyup", "dblclick", "scroll"})  # their effect is told by the others
 
 
-class Unrepairable(Exception):
+class UnsupportedRecording(Exception):
     """This recording holds more than clicks on leaves and typing; the message is the short reason."""
 
 
@@ -67,7 +67,7 @@ def gestures_of(states: Sequence[State]) -> list[Gesture]:
         if not state.kind or state.timing != CAPTURE or state.kind in IDLE_KINDS:
             continue
         if state.kind not in CLICKING_KINDS and state.kind != "keydown":
-            raise Unrepairable("unsupported action")
+            raise UnsupportedRecording("unsupported action")
         if state.kind == "keydown" and state.code in SILENT_KEYS:
             continue
         if groups and _continues(states, groups[-1], state):

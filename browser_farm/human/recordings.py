@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from browser_farm.human.action_inference import Step, repair
-from browser_farm.human.gestures import State, Unrepairable
+from browser_farm.human.gestures import State, UnsupportedRecording
 from browser_farm.human.recorded_pages import measure, parse_node
 from browser_farm.human.spans import wording
 from giirl_core.types import DEMONSTRATION, NO_SPAN, Action, Episode, Goal, Outcome, Trajectory, Verb
@@ -89,7 +89,7 @@ def read_recording(path: Path) -> Recorded:
     try:
         steps = repair(recording.states, strict=not failed)
         episode = _episode(path, recording, steps, strict=not failed)
-    except Unrepairable as unusable:
+    except UnsupportedRecording as unusable:
         return Recorded(episode=None, clean=False, reason=str(unusable))
     return Recorded(episode=episode, clean=not failed, reason=FAILED if failed else "")
 
@@ -258,7 +258,7 @@ def _episode(path: Path, recording: _Recording, steps: Sequence[Step], *, strict
         if step.verb is Verb.TYPE:
             start, end = wording(recording.goal, step.text) if strict else recording.goal.find(step.text)
             if strict and start == NO_SPAN:
-                raise Unrepairable("text not in instruction")
+                raise UnsupportedRecording("text not in instruction")
         actions.append(Action(verb=step.verb, element=step.row, start=start, end=end))
         tampered.add(screen.touched(step.row))
     trajectory = Trajectory(

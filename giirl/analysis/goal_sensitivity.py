@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from actors.agents import ExpertChooser
+from actors.agents import ExpertAgent
 from actors.browser import open_browser
 from actors.rollouts import Schedule, play
 from browser_farm.experts import expert
@@ -60,7 +60,7 @@ def _fresh(config: Config, pages: int, metrics: Metrics, display: Display) -> li
     played: list[Trajectory] = []
     try:
         with display.job("fresh expert pages", pages * len(config.tasks)) as job:
-            rounds = play(browser, ExpertChooser(expert), schedule, step_limit=config.step_limit, metrics=metrics)
+            rounds = play(browser, ExpertAgent(expert), schedule, step_limit=config.step_limit, metrics=metrics)
             for finished in rounds:
                 played += [episode.trajectory for episode in finished if episode.outcome.success]
                 job.advance(len(finished))
@@ -79,9 +79,9 @@ def _telling(trajectory: Trajectory) -> list[Pair]:
 
 
 def _measure(model: RewardModel, pairs: Sequence[Pair], seed: int) -> dict[str, Any]:
-    draw = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     own = _score(model, pairs, [pair.goal for pair in pairs])
-    first, second = (_score(model, pairs, [_another(pair.goal, pairs, draw) for pair in pairs]) for _ in range(2))
+    first, second = (_score(model, pairs, [_another(pair.goal, pairs, rng) for pair in pairs]) for _ in range(2))
     return {
         "auc": goal_sensitivity(own, first),
         "shuffled": goal_sensitivity(first, second),
@@ -90,10 +90,10 @@ def _measure(model: RewardModel, pairs: Sequence[Pair], seed: int) -> dict[str, 
     }
 
 
-def _another(goal: Goal, pairs: Sequence[Pair], draw: np.random.Generator) -> Goal:
+def _another(goal: Goal, pairs: Sequence[Pair], rng: np.random.Generator) -> Goal:
     """Some page's goal that is not this one."""
     others = [pair.goal for pair in pairs if pair.goal != goal]
-    return others[draw.integers(len(others))]
+    return others[rng.integers(len(others))]
 
 
 def _score(model: RewardModel, pairs: Sequence[Pair], goals: Sequence[Goal]) -> np.ndarray[Any, Any]:

@@ -17,7 +17,7 @@ from giirl_core.types import Action, EpisodeSpec, Goal, Page, Purpose, Verb, Wei
 BARREN_PAGES = 200  # without a single one that can be asked about
 
 
-def toggle(
+def goal_swap(
     config: Config, reward: Weights, task: str, pages: int, metrics: Metrics, display: Display
 ) -> dict[str, Any]:
     """How often the reward ranks the goal's own button first, and after naming another, that one.

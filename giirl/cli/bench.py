@@ -11,7 +11,7 @@ import click
 from rich.table import Table
 
 from giirl.cli.demos import writable
-from giirl_core.files import whole_file
+from giirl_core.files import atomic_write
 from giirl_core.progress import Display
 
 JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write the numbers here.")
@@ -98,5 +98,5 @@ def measure(name: str, json_file: Path | None) -> None:
 def save(json_file: Path | None, found: dict[str, Any]) -> None:
     """Write a command's numbers where it was asked to."""
     if json_file is not None:
-        with whole_file(json_file) as file:
+        with atomic_write(json_file) as file:
             file.write(json.dumps(found, indent=2).encode() + b"\n")

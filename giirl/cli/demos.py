@@ -10,7 +10,7 @@ import click
 from giirl.run.demo_stats import stats_table
 from giirl_core.config import DEFAULT_TASKS
 from giirl_core.config_file import load_config
-from giirl_core.files import whole_file
+from giirl_core.files import atomic_write
 from giirl_core.progress import Display
 from giirl_core.types import Episode
 from giirl_core.wire.messages import read_episodes, write_episodes
@@ -47,8 +47,8 @@ def make(out: Path, tasks: tuple[str, ...], per_task: int, seed: int, browser: s
 @click.option("--episodes", default=200, show_default=True, type=click.IntRange(1), help="Pages a task.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Other seeds, other pages.")
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write the result here, task by task.")
-@click.option("--go-on", is_flag=True, help="Keep what the --json file has, and play the tasks that it lacks.")
-def experts(tasks: tuple[str, ...], episodes: int, seed: int, json_file: Path | None, go_on: bool) -> None:
+@click.option("--resume", is_flag=True, help="Keep what the --json file has, and play the tasks that it lacks.")
+def experts(tasks: tuple[str, ...], episodes: int, seed: int, json_file: Path | None, resume: bool) -> None:
     """How often the scripted experts succeed."""
     from browser_farm.experts import EXPERTS
     from giirl.run.experts import experts_table, known, measure
@@ -57,11 +57,11 @@ def experts(tasks: tuple[str, ...], episodes: int, seed: int, json_file: Path | 
     writable(json_file)
     names = list(tasks or sorted(EXPERTS))
     config = load_config(None, [f"tasks={names!r}", f"seed={seed}", "actors.tabs=16", STEPS])
-    rows = known(json_file, episodes, seed) if go_on and json_file is not None else {}
+    rows = known(json_file, episodes, seed) if resume and json_file is not None else {}
     result = {"episodes": episodes, "seed": seed, "tasks": rows}
     for result in measure(config, episodes, Metrics(), Display(), rows):
         if json_file is not None:
-            with whole_file(json_file) as file:
+            with atomic_write(json_file) as file:
                 file.write(json.dumps(result, indent=1).encode() + b"\n")
     Display().table(experts_table(result))
 

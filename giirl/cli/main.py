@@ -23,7 +23,7 @@ from giirl.doctor import checks
 from giirl.run.folder import RunFolder
 from giirl_core.config import Config
 from giirl_core.config_file import changed, dump_config, load_config
-from giirl_core.files import held
+from giirl_core.files import folder_lock
 from giirl_core.progress import Display
 
 RUN = click.argument("run", type=click.Path(path_type=Path))
@@ -86,7 +86,7 @@ def train(
     path, changes = _split(config, overrides, runtime)
     if resume is not None:
         folder, settings = RunFolder.open(resume)
-        context.with_resource(held(folder.path))
+        context.with_resource(folder_lock(folder.path))
         settings = _prolonged(folder, settings, path, changes)
         checkpoint = latest_checkpoint(folder.checkpoints)
         display.say(f"resuming {folder.path} from {checkpoint.name}")
@@ -95,7 +95,7 @@ def train(
         if settings.world == "miniwob":
             check_tasks(settings)
         folder = RunFolder.create(settings, path.stem if path else "giirl")
-        context.with_resource(held(folder.path))
+        context.with_resource(folder_lock(folder.path))
         display.say(f"run folder {folder.path}, every setting in its {folder.config_file.name}")
         display.say(f"not the defaults: {' '.join(changed(settings)) or 'none'}")
     grid = settings.world == "gridcraft"

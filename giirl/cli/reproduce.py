@@ -12,7 +12,7 @@ import click
 
 from giirl.cli.demos import writable
 from giirl.studies.grid_settings import ABLATION_SEEDS, JOINT_SEEDS, REPORT_SEEDS
-from giirl_core.files import whole_file
+from giirl_core.files import atomic_write
 from giirl_core.progress import Display
 
 JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the numbers here.")
@@ -81,7 +81,7 @@ def _run(study: Callable[[int, Path, Display], dict[str, Any]], json_file: Path 
     result = study(seeds, out, display)
     text = json.dumps(result, indent=2) + "\n"
     if json_file is not None:
-        with whole_file(json_file) as file:
+        with atomic_write(json_file) as file:
             file.write(text.encode())
     click.echo(text, nl=False)
     display.say(f"{result.get('figure', 'no figure')}, {time.monotonic() - since_s:.0f} s")

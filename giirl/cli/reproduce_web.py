@@ -14,7 +14,7 @@ from rich.table import Column, Table
 
 from giirl.cli.demos import writable
 from giirl.studies.web import STUDIES, Study, base_settings
-from giirl_core.files import held, whole_file
+from giirl_core.files import atomic_write, folder_lock
 from giirl_core.progress import Display
 
 ROOT = Path("runs/studies")
@@ -53,17 +53,17 @@ def _command(name: str, study: Study) -> click.Command:
     @click.option(
         "--first-seed",
         type=click.IntRange(0),
-        default=TUNING_SEEDS if study.chooses else 0,
+        default=TUNING_SEEDS if study.tuning else 0,
         show_default=True,
         help=f"{TUNING_SEEDS} and above are for choices, those below for reports.",
     )
-    @click.option("--at-once", type=click.IntRange(1), default=2, show_default=True, help="Runs at the same time.")
+    @click.option("--jobs", type=click.IntRange(1), default=2, show_default=True, help="Runs at the same time.")
     @click.option("--set", "changes", multiple=True, metavar="KEY=VALUE", help="For all runs; may be given again.")
     @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the numbers here.")
     def command(
-        demos: Path | None, seeds: int, first_seed: int, at_once: int, changes: tuple[str, ...], json_file: Path | None
+        demos: Path | None, seeds: int, first_seed: int, jobs: int, changes: tuple[str, ...], json_file: Path | None
     ) -> None:
-        _reproduce(name, study, demos, range(first_seed, first_seed + seeds), at_once, changes, json_file)
+        _reproduce(name, study, demos, range(first_seed, first_seed + seeds), jobs, changes, json_file)
 
     return command
 
@@ -73,15 +73,15 @@ def _reproduce(
     study: Study,
     demos: Path | None,
     seeds: Sequence[int],
-    at_once: int,
+    jobs: int,
     changes: Sequence[str],
     json_file: Path | None,
 ) -> None:
     """Runs that share nothing but the machine play in one thread each; a single one has the machine to itself."""
-    from giirl.studies.runner import ask_all, measure_elsewhere, plan, record, run_all
+    from giirl.studies.runner import evaluate_rewards, measure_transfer, plan, record, run_all
 
     writable(json_file)
-    if study.chooses and seeds[0] < TUNING_SEEDS:
+    if study.tuning and seeds[0] < TUNING_SEEDS:
         raise click.UsageError(
             f"seed {seeds[0]} is for reports and {name} is for choices: wanted {TUNING_SEEDS} or more"
         )
@@ -94,12 +94,12 @@ def _reproduce(
     base = (*base_settings(study, demos), f"runtime={'local' if alone else 'serial'}", *changes)
     runs = plan(base, study.variants, seeds, ROOT)
     ROOT.mkdir(parents=True, exist_ok=True)
-    with held(ROOT):
-        run_all(runs, at_once=at_once, display=display)
-        if study.asked:
-            ask_all(runs, display)
-        measure_elsewhere(runs, display)
-    result = summary(name, [record(run, asked=study.asked) for run in runs])
+    with folder_lock(ROOT):
+        run_all(runs, jobs=jobs, display=display)
+        if study.evaluates_reward:
+            evaluate_rewards(runs, display)
+        measure_transfer(runs, display)
+    result = summary(name, [record(run, evaluates_reward=study.evaluates_reward) for run in runs])
     if alone:
         result["wall_seconds"] = round(time.monotonic() - since_s, 1)
     if study.curves:
@@ -110,7 +110,7 @@ def _reproduce(
         draw_successes(figure, result["runs"])
         display.say(f"drawn: {figure}")
     if json_file is not None:
-        with whole_file(json_file) as file:
+        with atomic_write(json_file) as file:
             file.write(json.dumps(result, indent=1).encode() + b"\n")
     display.table(study_table(study.what, result))
 
@@ -129,8 +129,8 @@ def summary(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
         for unit in ("episodes_to", "env_steps_to"):
             variants[variant][unit] = _reached([run[unit] for run in mine])
         variants[variant]["lowest_last_third"] = {task: _lowest(mine, task) for task in variants[variant]["tasks"]}
-        if toggles := [run["toggle"] for run in mine if "toggle" in run]:
-            variants[variant]["toggle"] = {
+        if toggles := [run["goal_swap"] for run in mine if "goal_swap" in run]:
+            variants[variant]["goal_swap"] = {
                 name: min(found[name] for found in toggles) for name in ("own_goal_top1", "swapped_goal_top1")
             }
         if asked := [run["sensitivity"] for run in mine if "sensitivity" in run]:
@@ -160,8 +160,8 @@ def study_table(title: str, result: dict[str, Any]) -> Table:
         until = found["env_steps_to"]["0.95"]
         table.add_row("  steps until 95 %, median", "", *(_when(until.get(task), found) for task in tasks))
         table.add_row("  lowest in the last third", "", *("-" if low is None else f"{low:.2f}" for low in lowest))
-        if "toggle" in found:
-            own, swapped = (found["toggle"][name] for name in ("own_goal_top1", "swapped_goal_top1"))
+        if "goal_swap" in found:
+            own, swapped = (found["goal_swap"][name] for name in ("own_goal_top1", "swapped_goal_top1"))
             table.add_row(f"  goal's button first: {own:.3f}, after a swap {swapped:.3f}")
         if told := found.get("sensitivity"):
             table.add_row(
@@ -203,7 +203,7 @@ def _lowest(runs: Sequence[dict[str, Any]], task: str) -> float | None:
 
 
 def _sensitivity(task: str, asked: Sequence[dict[str, Any]]) -> dict[str, float]:
-    """The AUC of the worst seed, and the mean of its control; where goals were held out, either kind's apart."""
+    """The AUC of the worst seed, and the mean of its control; where goals were folder_lock out, either kind's apart."""
     rows = [found[task] for found in asked]
     told = {"auc": min(row["auc"] for row in rows), "shuffled": fmean(row["shuffled"] for row in rows)}
     for group in ("trained_goals", "held_out_goals"):

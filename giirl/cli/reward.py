@@ -27,15 +27,15 @@ def reward() -> None:
 @click.option("--task", default="click-button", show_default=True, help="A task whose goal quotes a button.")
 @click.option("--pages", default=500, show_default=True, type=click.IntRange(1), help="Fresh pages.")
 @JSON
-def toggle(run: Path, task: str, pages: int, json_file: Path | None) -> None:
+def goal_swap(run: Path, task: str, pages: int, json_file: Path | None) -> None:
     """How often the reward ranks the goal's button first, and after the goal names another, that one."""
-    from giirl.analysis.goal_swap import toggle
+    from giirl.analysis.goal_swap import goal_swap
     from giirl.run.train import reward_of_run
     from giirl_core.metrics import Metrics
 
     writable(json_file)
     folder, config = _one_task(run, task)
-    result = toggle(config, reward_of_run(run), task, pages, Metrics(), Display())
+    result = goal_swap(config, reward_of_run(run), task, pages, Metrics(), Display())
     if json_file is not None:
         folder.write_json(json_file, result)
     Display().say(

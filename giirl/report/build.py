@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from giirl.report.element_rewards import Strip, scale_of
+from giirl.report.element_rewards import EpisodeView, scale_of
 from giirl.report.heatmap import Maps, draw_heat
 from giirl.report.inspector import Inspector
 from giirl.report.numbers import facts_of, lead_of, learning_group, result_lines, result_tables, success_group
@@ -17,7 +17,7 @@ from giirl.run.grid import layouts_of, open_run, reward_panels
 from giirl.run.train import REWARDING
 from giirl_core.config import Config
 from giirl_core.config_file import changed, dump_config
-from giirl_core.files import whole_file
+from giirl_core.files import atomic_write
 from giirl_core.metrics import Metrics
 from giirl_core.progress import Display
 from giirl_core.types import EpisodeSpec, Goal, Weights
@@ -48,11 +48,13 @@ def report(folder: RunFolder, config: Config, out: Path, pages: int, command: st
         settings=dump_config(config),
         command=command,
     )
-    with whole_file(out) as file:
+    with atomic_write(out) as file:
         file.write(text.encode())
 
 
-def inspect(folder: RunFolder, config: Config, spec: EpisodeSpec, goal: Goal | None, out: Path, command: str) -> Strip:
+def inspect(
+    folder: RunFolder, config: Config, spec: EpisodeSpec, goal: Goal | None, out: Path, command: str
+) -> EpisodeView:
     """Write a page about one fresh page: what policy and reward make of it under its instruction and another."""
     checkpoint = latest_checkpoint(folder.checkpoints)
     with Inspector(config, *_weights(folder, config, checkpoint), Metrics()) as inspector:
@@ -71,12 +73,14 @@ def inspect(folder: RunFolder, config: Config, spec: EpisodeSpec, goal: Goal | N
         origin=f"{folder.path.name}, {checkpoint.name}",
         command=command,
     )
-    with whole_file(out) as file:
+    with atomic_write(out) as file:
         file.write(text.encode())
     return strip
 
 
-def _strips(folder: RunFolder, config: Config, pages: int, display: Display) -> tuple[dict[str, list[Strip]], str]:
+def _strips(
+    folder: RunFolder, config: Config, pages: int, display: Display
+) -> tuple[dict[str, list[EpisodeView]], str]:
     """Episodes by task, and what they are in words, or why there are none."""
     if config.world != "miniwob":
         return {}, ""
@@ -84,7 +88,7 @@ def _strips(folder: RunFolder, config: Config, pages: int, display: Display) -> 
         checkpoint = latest_checkpoint(folder.checkpoints)
     except ValueError as error:
         return {}, f"None: {error}."
-    strips: dict[str, list[Strip]] = {task: [] for task in config.tasks}
+    strips: dict[str, list[EpisodeView]] = {task: [] for task in config.tasks}
     with (
         Inspector(config, *_weights(folder, config, checkpoint), Metrics()) as inspector,
         display.job("playing for the report", pages * len(config.tasks)) as job,

@@ -17,7 +17,7 @@ LONGEST_NAME = 40  # characters of an element's text that are quoted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Valued:
+class ScoredAction:
     """An action and what the reward pays for it."""
 
     action: Action
@@ -25,15 +25,17 @@ class Valued:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Judged:
+class ScoredPage:
     """One page under one instruction."""
 
     goal: Goal
     choice: Action | None  # the policy's; None where nothing can be done
-    best: tuple[Valued, ...]  # for each element that can be acted upon, the action that earns the most; () of no reward
+    best: tuple[
+        ScoredAction, ...
+    ]  # for each element that can be acted upon, the action that earns the most; () of no reward
 
     @property
-    def top(self) -> Valued | None:
+    def top(self) -> ScoredAction | None:
         """The best of all."""
         return max(self.best, key=lambda one: one.reward, default=None)
 
@@ -44,12 +46,12 @@ class Frame:
 
     page: Page
     picture: bytes | None  # PNG of the page's `window_of`; None of a browser that draws nothing
-    own: Judged
-    other: Judged | None  # None where no other instruction fits the page
+    own: ScoredPage
+    other: ScoredPage | None  # None where no other instruction fits the page
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Strip:
+class EpisodeView:
     """One episode, or the first step of one."""
 
     task: str
@@ -80,15 +82,15 @@ def scale_of(config: Config) -> Scale:
     return Scale(low=low, middle=middle, high=high)
 
 
-def value_elements(model: RewardModel, page: Page, goal: Goal) -> tuple[Valued, ...]:
+def value_elements(model: RewardModel, page: Page, goal: Goal) -> tuple[ScoredAction, ...]:
     """For each element the better of clicking it and, in a field, typing any words of the instruction."""
     actions = [action for row in range(len(page)) for action in _options(page, goal, row)]
     if not actions:
         return ()
-    best: dict[int, Valued] = {}
+    best: dict[int, ScoredAction] = {}
     for action, reward in zip(actions, model.score_actions(page, goal, actions).tolist(), strict=True):
         if action.element not in best or reward > best[action.element].reward:
-            best[action.element] = Valued(action=action, reward=reward)
+            best[action.element] = ScoredAction(action=action, reward=reward)
     return tuple(best.values())
 
 
@@ -121,6 +123,6 @@ def shortened(text: str) -> str:
     return text if len(text) <= LONGEST_NAME else text[: LONGEST_NAME - 1] + "…"
 
 
-def ranked(best: Sequence[Valued]) -> list[Valued]:
+def ranked(best: Sequence[ScoredAction]) -> list[ScoredAction]:
     """The highest reward first; in document order where rewards are equal."""
     return sorted(best, key=lambda one: -one.reward)

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from actors.agents import NetChooser
+from actors.agents import PolicyAgent
 from actors.browser import open_browser
 from browser_farm.farm import ChromeFarm
 from giirl.analysis.swaps import renamed
-from giirl.report.element_rewards import Frame, Judged, Strip, value_elements
+from giirl.report.element_rewards import EpisodeView, Frame, ScoredPage, value_elements
 from giirl.report.overlay import Box, window_of
 from giirl_core.config import Config
 from giirl_core.metrics import Metrics
@@ -31,7 +31,7 @@ class Inspector:
     def __init__(self, config: Config, policy: Weights, reward: Weights | None, metrics: Metrics) -> None:
         net = build_policy(config)
         load_net(net, policy)
-        self._choose = NetChooser(net, load_vectors(config.net.vectors), version=policy.version, greedy=True)
+        self._choose = PolicyAgent(net, load_vectors(config.net.vectors), version=policy.version, greedy=True)
         self._reward = build_reward(config, reward) if reward is not None else None
         self._config = config
         self._browser = open_browser(replace(config, actors=replace(config.actors, tabs=1)), metrics)
@@ -42,7 +42,7 @@ class Inspector:
     def __exit__(self, *_: object) -> None:
         self._browser.close()
 
-    def strips(self, task: str, count: int) -> Iterator[Strip]:
+    def strips(self, task: str, count: int) -> Iterator[EpisodeView]:
         """The first `count` pages of a task that inspection has for this run, played to their ends.
 
         The other instruction names another element of the page; where that cannot be, it is the next page's.
@@ -54,19 +54,19 @@ class Inspector:
         for number, spec in enumerate(specs[:count]):
             yield self._play(spec, [goal for goal in goals[number:] + goals[:number] if goal != goals[number]])
 
-    def page(self, spec: EpisodeSpec, other: Goal | None) -> Strip:
+    def page(self, spec: EpisodeSpec, other: Goal | None) -> EpisodeView:
         """One page as it opens, under its own instruction and under `other`, or one that names another element."""
         if not 0 <= spec.seed < LARGEST_SEED:
             raise ValueError(f"the page seed {spec.seed} is out of range: wanted 0 to 2**53 - 1")
         seen = self._open(spec)
         swap = renamed(seen)
         frame = self._look(seen, other or (swap.goal if swap else None))
-        return Strip(task=spec.task, seed=spec.seed, frames=(frame,))
+        return EpisodeView(task=spec.task, seed=spec.seed, frames=(frame,))
 
     def _open(self, spec: EpisodeSpec) -> Observation:
         return self._browser.reset({TAB: spec})[TAB]
 
-    def _play(self, spec: EpisodeSpec, others: Sequence[Goal]) -> Strip:
+    def _play(self, spec: EpisodeSpec, others: Sequence[Goal]) -> EpisodeView:
         seen: Observation | None = self._open(spec)
         assert seen is not None
         swap = renamed(seen)
@@ -83,7 +83,9 @@ class Inspector:
                 if result.done or last:
                     outcome = Outcome(raw_reward=result.raw_reward, ended=result.done)
             if trouble or outcome is not None:
-                return Strip(task=spec.task, seed=spec.seed, frames=tuple(frames), outcome=outcome, trouble=trouble)
+                return EpisodeView(
+                    task=spec.task, seed=spec.seed, frames=tuple(frames), outcome=outcome, trouble=trouble
+                )
 
     def _look(self, seen: Observation, other: Goal | None) -> Frame:
         return Frame(
@@ -93,12 +95,12 @@ class Inspector:
             other=self._judge(replace(seen, goal=other)) if other is not None else None,
         )
 
-    def _judge(self, seen: Observation) -> Judged:
+    def _judge(self, seen: Observation) -> ScoredPage:
         choice = None
         if seen.page.leaf.any():
             choice = self._choose([seen], np.zeros((1, 3), np.float32))[0].action
         best = value_elements(self._reward, seen.page, seen.goal) if self._reward is not None else ()
-        return Judged(goal=seen.goal, choice=choice, best=best)
+        return ScoredPage(goal=seen.goal, choice=choice, best=best)
 
 
 def _picture(browser: Browser, window: Box) -> bytes | None:

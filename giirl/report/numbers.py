@@ -16,8 +16,8 @@ SOURCES = {
     "expert": "the expert's steps",
     "rollouts": "new rollouts",
     "replay": "older rollouts",
-    "demo_states": "the policy on the expert's pages",
-    "chance": "actions by chance",
+    "policy_on_expert_states": "the policy on the expert's pages",
+    "random_actions": "random actions",
     "wrong_goal": "the expert under a wrong instruction",
 }
 TITLES = {

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from giirl.report.charts import minus
-from giirl.report.element_rewards import Judged, Scale, action_words, element_name, ranked
+from giirl.report.element_rewards import Scale, ScoredPage, action_words, element_name, ranked
 from giirl_core.nets.features import HEIGHT_PX, WIDTH_PX
 from giirl_core.types import Page, Verb
 
@@ -62,7 +62,7 @@ class Label:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shot:
+class Overlay:
     """One page under one instruction, ready to be drawn."""
 
     said: str  # the instruction
@@ -92,7 +92,7 @@ def number(reward: float) -> str:
     return minus(f"{rounded:+.1f}") if rounded else "0.0"
 
 
-def draw_shot(page: Page, judged: Judged, scale: Scale) -> Shot:
+def draw_shot(page: Page, judged: ScoredPage, scale: Scale) -> Overlay:
     """Put marks on what can be seen of a page."""
     window = window_of(page)
     boxes = [Box(*map(float, box)).inside(window) for box in page.box]
@@ -101,7 +101,7 @@ def draw_shot(page: Page, judged: Judged, scale: Scale) -> Shot:
     choice = judged.choice
     target = boxes[choice.element] if choice is not None else None
     held = choice is not None and bool(page.value[choice.element])
-    return Shot(
+    return Overlay(
         said=judged.goal.utterance,
         window=window,
         marks=tuple(
@@ -164,7 +164,7 @@ def _within(value: float, low: float, high: float) -> float:
     return min(max(value, low), high)
 
 
-def _in_words(page: Page, judged: Judged) -> str:
+def _in_words(page: Page, judged: ScoredPage) -> str:
     choice, top = judged.choice, judged.top
     does = f"The policy: {action_words(page, judged.goal, choice)}." if choice is not None else "Nothing can be done."
     if top is None:

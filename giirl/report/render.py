@@ -10,19 +10,28 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from giirl.report import charts
-from giirl.report.element_rewards import Frame, Judged, Scale, Strip, Valued, element_name, ranked, shortened
-from giirl.report.overlay import MOST_LABELS, Shot, draw_shot, number
+from giirl.report.element_rewards import (
+    EpisodeView,
+    Frame,
+    Scale,
+    ScoredAction,
+    ScoredPage,
+    element_name,
+    ranked,
+    shortened,
+)
+from giirl.report.overlay import MOST_LABELS, Overlay, draw_shot, number
 from giirl_core.types import Goal, Verb
 
 OWN, OTHER = "its own instruction", "another instruction"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Half:
+class SideView:
     """One step under one of the two instructions."""
 
     whose: str
-    shot: Shot
+    shot: Overlay
     does: str
     alt: str
 
@@ -33,7 +42,7 @@ class FrameView:
 
     title: str
     picture: str  # data: address of the PNG, "" where there is none
-    halves: tuple[Half, ...]
+    halves: tuple[SideView, ...]
     rows: tuple[tuple[str, tuple[str, ...]], ...]  # element, its reward under each instruction
 
 
@@ -72,14 +81,14 @@ def scale_view(scale: Scale) -> dict[str, str]:
     return {name: number(reward) for name, reward in ends.items()} | {"most": str(MOST_LABELS)}
 
 
-def strip_view(strip: Strip, scale: Scale) -> StripView:
+def strip_view(strip: EpisodeView, scale: Scale) -> StripView:
     """An episode ready to be drawn."""
     words, kind = _outcome(strip)
     frames = tuple(_frame(strip.task, step, frame, scale) for step, frame in enumerate(strip.frames, 1))
     return StripView(task=strip.task, seed=strip.seed, outcome=words, outcome_class=kind, frames=frames)
 
 
-def _outcome(strip: Strip) -> tuple[str, str]:
+def _outcome(strip: EpisodeView) -> tuple[str, str]:
     if strip.trouble:
         return f"broke off: {strip.trouble}", "lost"
     if strip.outcome is None:
@@ -100,10 +109,10 @@ def _frame(task: str, step: int, frame: Frame, scale: Scale) -> FrameView:
     )
 
 
-def _half(where: str, frame: Frame, whose: str, judged: Judged, scale: Scale) -> Half:
+def _half(where: str, frame: Frame, whose: str, judged: ScoredPage, scale: Scale) -> SideView:
     shot = draw_shot(frame.page, judged, scale)
     verb = "The policy takes" if whose == OWN else "The policy would take"
-    return Half(
+    return SideView(
         whose=f"Under {whose}",
         shot=shot,
         does=f"{verb}: {shot.does}",
@@ -111,13 +120,13 @@ def _half(where: str, frame: Frame, whose: str, judged: Judged, scale: Scale) ->
     )
 
 
-def _cell(one: Valued, goal: Goal) -> str:
+def _cell(one: ScoredAction, goal: Goal) -> str:
     """A reward, and the words that earn it where typing them does."""
     words = f"“{shortened(one.action.text(goal))}” " if one.action.verb is Verb.TYPE else ""
     return words + number(one.reward)
 
 
-def _rows(frame: Frame, judged: Sequence[Judged]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+def _rows(frame: Frame, judged: Sequence[ScoredPage]) -> tuple[tuple[str, tuple[str, ...]], ...]:
     columns = [{one.action.element: _cell(one, each.goal) for one in each.best} for each in judged]
     rows = [one.action.element for one in ranked(frame.own.best)]
     return tuple((element_name(frame.page, row), tuple(column[row] for column in columns)) for row in rows)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from actors.agents import ExpertChooser, RandomChooser
+from actors.agents import ExpertAgent, RandomAgent
 from actors.browser import open_browser
 from actors.rollouts import Schedule, play
 from browser_farm.experts import expert
@@ -24,10 +24,10 @@ WITHOUT_DEMONSTRATIONS = ("frozen", "true_reward")  # whose reward is there alre
 def gather(config: Config, metrics: Metrics, display: Display) -> list[Episode]:
     """The demonstrations that a config asks for: successful ones, at most `demos.per_task` of each task, none of a
     goal that is held out; a share of them may then be spoiled. None at all where nothing would be learned from them."""
-    if config.algorithm in WITHOUT_DEMONSTRATIONS and not config.policy.cloning_start:
+    if config.algorithm in WITHOUT_DEMONSTRATIONS and not config.policy.bc_warmup_updates:
         return []
     kept = chosen(*_offered(config, metrics, display), config)
-    return spoil(kept, config, metrics, display) if config.demos.spoiled else kept
+    return spoil(kept, config, metrics, display) if config.demos.noise_fraction else kept
 
 
 def _offered(config: Config, metrics: Metrics, display: Display) -> tuple[list[Episode], str]:
@@ -54,7 +54,7 @@ def make(config: Config, metrics: Metrics, display: Display) -> list[Episode]:
     made: list[Episode] = []
     try:
         with display.job("making demonstrations", wanted * len(config.tasks)) as job:
-            chooser = ExpertChooser(expert)
+            chooser = ExpertAgent(expert)
             for finished in play(browser, chooser, schedule, step_limit=config.step_limit, metrics=metrics):
                 made += [episode for episode in finished if episode.outcome.success]
                 job.advance(len(finished))
@@ -75,7 +75,9 @@ def recorded(
 
 def spoil(kept: list[Episode], config: Config, metrics: Metrics, display: Display) -> list[Episode]:
     """Put episodes of chance in the place of each task's last ones, on other pages and whatever came of them."""
-    bad = {task: round(config.demos.spoiled * sum(e.trajectory.task == task for e in kept)) for task in config.tasks}
+    bad = {
+        task: round(config.demos.noise_fraction * sum(e.trajectory.task == task for e in kept)) for task in config.tasks
+    }
     schedule = Schedule(
         config.tasks,
         config.actors.tabs,
@@ -87,7 +89,7 @@ def spoil(kept: list[Episode], config: Config, metrics: Metrics, display: Displa
     browser = open_browser(config, metrics)
     try:
         with display.busy("spoiling demonstrations"):
-            rounds = play(browser, RandomChooser(), schedule, step_limit=config.step_limit, metrics=metrics)
+            rounds = play(browser, RandomAgent(), schedule, step_limit=config.step_limit, metrics=metrics)
             held_out = config.held_out_goals
             played = [e for some in rounds for e in some if not is_held_out(e.trajectory.goal, held_out)]
     finally:

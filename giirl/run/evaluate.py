@@ -6,7 +6,7 @@ from typing import Any
 
 from rich.table import Table
 
-from actors.agents import Chooser, NetChooser, RandomChooser
+from actors.agents import Agent, PolicyAgent, RandomAgent
 from actors.browser import open_browser
 from actors.rollouts import Schedule, play
 from giirl.statistics import Score
@@ -29,7 +29,7 @@ def evaluate(config: Config, policy: Weights, metrics: Metrics, display: Display
     """
     net = build_policy(config)
     load_net(net, policy)
-    greedy = NetChooser(net, load_vectors(config.net.vectors), version=policy.version, greedy=True)
+    greedy = PolicyAgent(net, load_vectors(config.net.vectors), version=policy.version, greedy=True)
     browser = open_browser(config, metrics)
     try:
         scores = _measure(
@@ -38,9 +38,9 @@ def evaluate(config: Config, policy: Weights, metrics: Metrics, display: Display
         floor = _measure(
             config,
             browser,
-            RandomChooser(),
+            RandomAgent(),
             Purpose.FLOOR,
-            config.evaluate.floor_episodes,
+            config.evaluate.random_episodes,
             metrics,
             display,
             "random floor",
@@ -67,7 +67,7 @@ def _success(score: Score) -> dict[str, Any]:
 def _measure(
     config: Config,
     browser: Browser,
-    chooser: Chooser,
+    chooser: Agent,
     purpose: Purpose,
     episodes: int,
     metrics: Metrics,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from actors.agents import ExpertChooser
+from actors.agents import ExpertAgent
 from actors.browser import open_browser
 from actors.rollouts import Schedule, play
 from browser_farm.experts import expert
@@ -61,7 +61,7 @@ def known(file: Path, episodes: int, seed: int) -> dict[str, Any]:
 
 def _play(config: Config, browser: Browser, task: str, episodes: int, metrics: Metrics) -> list[Episode]:
     schedule = Schedule([task], browser.tabs, purpose=Purpose.DEMONSTRATE, run_seed=config.seed, quota=episodes)
-    rounds = play(browser, ExpertChooser(expert), schedule, step_limit=config.step_limit, metrics=metrics)
+    rounds = play(browser, ExpertAgent(expert), schedule, step_limit=config.step_limit, metrics=metrics)
     return [episode for finished in rounds for episode in finished]
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from giirl_core.config import Config
 from giirl_core.config_file import dump_config, load_config
-from giirl_core.files import whole_file
+from giirl_core.files import atomic_write
 from giirl_core.types import Episode, Weights
 from giirl_core.wire.messages import read_episodes, write_episodes
 
@@ -78,7 +78,7 @@ class RunFolder:
 
     def write(self, path: Path, text: str) -> None:
         """Replace a file whole."""
-        with whole_file(path) as file:
+        with atomic_write(path) as file:
             file.write(text.encode())
 
     def write_json(self, path: Path, result: Mapping[str, Any]) -> None:

@@ -13,19 +13,20 @@ from giirl.statistics import goal_sensitivity
 from giirl_core.config import Config
 from gridcraft.instructions import Pair, plain_sentence
 from gridcraft.layouts import Layout
-from gridcraft.planning import bounds, fraction, solve, visits
+from gridcraft.planning import normalized_return, occupancy, return_bounds, solve
 from gridcraft.reward_metrics import (
     avoid_rank,
-    entering_rate,
     epic_distance,
     matched_avoid_rank,
     reoptimise,
     state_mean,
     value_correlation,
+    violation_rate,
 )
 from gridcraft.world import World, build_world, true_reward
 from learner.grid.learner import GridLearner
-from learner.grid.nets import Sight, policy_table, reward_table
+from learner.grid.nets import GridFeatures, policy_table, reward_table
+from learner.grid.steps import EXPERT_TEMPERATURE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +60,7 @@ class Tables:
 
 def learned_tables(config: Config, learner: GridLearner, world: World, pair: Pair) -> Tables:
     """The nets asked about every state and action under the plain sentence of a pair, seen in training or not."""
-    sight = Sight(world, [plain_sentence(pair)], learner.bag, config.grid)
+    sight = GridFeatures(world, [plain_sentence(pair)], learner.bag, config.grid)
     form, clip = config.discriminator.reward, config.discriminator.clip
     return Tables(
         policy=policy_table(learner.acting, sight, 0),
@@ -79,14 +80,14 @@ class Truth:
 
 
 @functools.lru_cache(maxsize=1024)
-def truth(world: World, pair: Pair, temperature: float) -> Truth:
+def truth(world: World, pair: Pair) -> Truth:
     """Worked out once for every world there is."""
     reward = true_reward(world, pair)
     return Truth(
         reward=reward,
         value=solve(world, reward).v,
-        bounds=bounds(world, reward),
-        expert=solve(world, reward, temperature=temperature).pi,
+        bounds=return_bounds(world, reward),
+        expert=solve(world, reward, temperature=EXPERT_TEMPERATURE).pi,
     )
 
 
@@ -97,11 +98,11 @@ def world_of(layout: Layout) -> World:
 
 
 def policy_fractions(config: Config, learner: GridLearner, world: World) -> list[float]:
-    """The policy's return under each pair of the training, as a fraction of optimal above chance."""
-    sight = Sight(world, [plain_sentence(pair) for pair in learner.pairs], learner.bag, config.grid)
-    known = [truth(world, pair, config.grid.expert_temperature) for pair in learner.pairs]
+    """The policy's return under each pair of the training, as a normalized_return of optimal above chance."""
+    sight = GridFeatures(world, [plain_sentence(pair) for pair in learner.pairs], learner.bag, config.grid)
+    known = [truth(world, pair) for pair in learner.pairs]
     return [
-        fraction(world, policy_table(learner.acting, sight, i), true.reward, known=true.bounds)
+        normalized_return(world, policy_table(learner.acting, sight, i), true.reward, known=true.bounds)
         for i, true in enumerate(known)
     ]
 
@@ -112,14 +113,14 @@ def measure(config: Config, learner: GridLearner, layouts: Sequence[Layout], pai
 
 
 def _measure(config: Config, learner: GridLearner, world: World, pair: Pair) -> Measures:
-    true, tables = truth(world, pair, config.grid.expert_temperature), learned_tables(config, learner, world, pair)
+    true, tables = truth(world, pair), learned_tables(config, learner, world, pair)
     swapped = learned_tables(config, learner, world, Pair(pair.avoid, pair.goal)).reward
     agent, score = reoptimise(world, tables.reward), state_mean(tables.reward)
     policy, cloning, reoptimised = (
-        fraction(world, pi, true.reward, known=true.bounds) for pi in (tables.policy, tables.cloning, agent)
+        normalized_return(world, pi, true.reward, known=true.bounds) for pi in (tables.policy, tables.cloning, agent)
     )
     correlation = value_correlation(world, tables.reward, true.value)
-    steps = visits(world, true.expert).sum(axis=0)[:, None] * true.expert
+    steps = occupancy(world, true.expert).sum(axis=0)[:, None] * true.expert
     return Measures(
         pair=pair,
         policy=policy,
@@ -131,8 +132,8 @@ def _measure(config: Config, learner: GridLearner, world: World, pair: Pair) -> 
         avoid_rank=avoid_rank(world, score, pair),
         matched_avoid_rank=matched_avoid_rank(world, score, pair),
         sensitivity=goal_sensitivity(tables.reward, swapped, steps),
-        entered=entering_rate(world, agent, pair),
-        expert_entered=entering_rate(world, true.expert, pair),
+        entered=violation_rate(world, agent, pair),
+        expert_entered=violation_rate(world, true.expert, pair),
     )
 
 

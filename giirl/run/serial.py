@@ -6,7 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from actors.agents import NetChooser
+from actors.agents import PolicyAgent
 from actors.browser import open_browser
 from actors.rollouts import Schedule, play
 from giirl_core.config import Config
@@ -24,7 +24,7 @@ class SerialRuntime:
     def __init__(self, config: Config, metrics: Metrics, resume: Path | None) -> None:
         self._config, self._metrics = config, metrics
         self._browser = open_browser(config, metrics)
-        self._chooser = NetChooser(build_policy(config), load_vectors(config.net.vectors))
+        self._chooser = PolicyAgent(build_policy(config), load_vectors(config.net.vectors))
         self._reward = build_reward(config)
         self._reward_version = 0
         self._played = 0  # episodes of each task

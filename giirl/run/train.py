@@ -68,7 +68,7 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
         elif config.algorithm == "frozen":
             learner.take_reward(reward_of_run(Path(config.reward_from)))
         else:
-            learner.cloning_start()
+            learner.bc_warmup()
         session = Session(config, folder, learner, metrics, stop, own, display)
         with stopping(stop):
             session.learn(resume)

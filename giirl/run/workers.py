@@ -14,18 +14,18 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
-from actors.episode_counter import tallied
+from actors.episode_counter import read_counts
 from actors.process import ActorProcess
 from giirl.run.folder import RunFolder
 from giirl_core.config import Config
 from giirl_core.config_file import dump_config
 from giirl_core.metrics import Metrics
-from giirl_core.processes.supervision import START_S, Call, Member, Platform, Process
+from giirl_core.processes.supervision import START_S, Call, Platform, Process, SupervisedProcess
 from giirl_core.types import Episode, Weights
 from giirl_core.wire.transport import Keys
 from learner.stream.admission import IngestLimits
 from learner.stream.ingest import Ingest
-from learner.stream.snapshot import Held
+from learner.stream.snapshot import IngestSnapshot
 from reward_service.process import RewardProcess
 
 STOP_S = 10.0  # for processes to hand over and end
@@ -53,11 +53,13 @@ class WorkersRuntime:
         self._version = 0
         self._policy: Any = None
         self._reward: Any = None
-        self._held = Held.load(resume) if resume else Held()
+        self._held = IngestSnapshot.load(resume) if resume else IngestSnapshot()
         self._taken: int = json.loads((resume / RUNTIME).read_text())["taken"] if resume else 0
         known = [mark.incarnation for mark in self._held.marks]
         self._incarnation = max([int(time.time()), *(incarnation + 1 for incarnation in known)])  # they only grow
-        self._keys = None if platform.alone else Keys.keep(folder.keys)  # beyond loopback nobody talks without them
+        self._keys = (
+            None if platform.single_node else Keys.keep(folder.keys)
+        )  # beyond loopback nobody talks without them
         self._ingest = Ingest(
             folder.identity,
             lambda: self._version,
@@ -72,10 +74,10 @@ class WorkersRuntime:
         self._wanted = folder.wanted_actors() or config.actors.count
         for mark in self._held.marks:  # of actors that nobody wants any more
             if mark.actor not in {f"actor-{index}" for index in range(self._wanted)}:
-                self._ingest.bury(mark.actor, tallied(self._tally(mark.actor)))
-        self._services: list[Member] = []
-        self._actors: list[Member] = []
-        self._leavers: list[tuple[Member, float]] = []
+                self._ingest.retire(mark.actor, read_counts(self._tally(mark.actor)))
+        self._services: list[SupervisedProcess] = []
+        self._actors: list[SupervisedProcess] = []
+        self._leavers: list[tuple[SupervisedProcess, float]] = []
         self._scorers: list[str] = []
         self._tended_s = float("-inf")
 
@@ -105,7 +107,7 @@ class WorkersRuntime:
             if self._ingest.wants_commit:
                 self._save_now()
             try:
-                rising = any(member.running is None and not member.given_up for member in self._members)
+                rising = any(member.running is None and not member.quarantined for member in self._members)
                 taken = self._ingest.take(episodes, WATCH_S if rising else TEND_S)
             except TimeoutError as error:
                 if time.monotonic() > deadline_s:
@@ -136,7 +138,7 @@ class WorkersRuntime:
         """Let the actors hand over what they have finished, and end."""
         for actor in self._actors:
             actor.leaving = True
-            actor.tell("stop", 0.0)
+            actor.notify("stop", 0.0)
         self._outlast(self._actors, STOP_S)
         for actor in self._actors:
             self._bury(actor)
@@ -146,7 +148,7 @@ class WorkersRuntime:
         self.drain()
         for service in self._services:
             service.leaving = True
-            service.tell("stop")
+            service.notify("stop")
         self._outlast(self._services, STOP_S)
         try:
             for member in self._members:
@@ -156,46 +158,48 @@ class WorkersRuntime:
             self._platform.close()
 
     @property
-    def _members(self) -> list[Member]:
+    def _members(self) -> list[SupervisedProcess]:
         return [*self._actors, *self._services, *(leaver for leaver, _ in self._leavers)]
 
-    def _start_service(self, index: int) -> Member:
+    def _start_service(self, index: int) -> SupervisedProcess:
         name = f"reward-service-{index}"
         process = self._platform.start(RewardProcess, name, dump_config(self._config), self._keys, cpus=0)
 
         def begin(process: Process, restarts: int) -> Call:
-            return process.call("rejoin" if process.found and not restarts else "run", self._reward)
+            return process.call("rejoin" if process.reattached and not restarts else "run", self._reward)
 
-        return Member(name, process, begin, self._metrics)
+        return SupervisedProcess(name, process, begin, self._metrics)
 
-    def _start_actor(self, index: int) -> Member:
+    def _start_actor(self, index: int) -> SupervisedProcess:
         name = f"actor-{index}"
         words = (dump_config(self._config), self._folder.identity, index, str(self._tally(name)), self._keys)
         process = self._platform.start(ActorProcess, name, *words, cpus=1)
 
         def begin(process: Process, restarts: int) -> Call:
-            method = "rejoin" if process.found and not restarts else "run"
+            method = "rejoin" if process.reattached and not restarts else "run"
             self._incarnation += 1
             return process.call(
                 method, self._incarnation, self._taken, self._ingest.address, tuple(self._scorers), self._policy
             )
 
-        return Member(name, process, begin, self._metrics)
+        return SupervisedProcess(name, process, begin, self._metrics)
 
     def _tally(self, name: str) -> Path:
         """Where an actor counts: where nodes share no folder, on its own, for whoever comes after it there."""
         run = self._folder
-        shared = run.path / "actors" if self._platform.alone else Path(tempfile.gettempdir()) / "giirl" / run.identity
+        shared = (
+            run.path / "actors" if self._platform.single_node else Path(tempfile.gettempdir()) / "giirl" / run.identity
+        )
         return shared.absolute() / f"{name}.tally"
 
-    def _bury(self, actor: Member) -> None:
+    def _bury(self, actor: SupervisedProcess) -> None:
         """It is gone for good: what it took along is counted, by its own count where that can be read from here."""
-        self._ingest.bury(actor.name, tallied(self._tally(actor.name)))
+        self._ingest.retire(actor.name, read_counts(self._tally(actor.name)))
 
     def _tend(self) -> None:
         """Start again what ended, replace what hangs, follow who comes and goes; too few actors end the run."""
         for member in self._members:
-            member.tend()
+            member.poll()
         if time.monotonic() - self._tended_s < TEND_S:
             return
         self._tended_s = time.monotonic()
@@ -203,24 +207,24 @@ class WorkersRuntime:
         if scorers != self._scorers:
             self._scorers = scorers
             for actor in self._actors:
-                actor.tell("follow", tuple(scorers))
+                actor.notify("follow", tuple(scorers))
         for actor in self._actors:
             self._replace_if_silent(actor)
-            if actor.given_up and not actor.leaving:
+            if actor.quarantined and not actor.leaving:
                 actor.leaving = True
                 self._bury(actor)
         for service in self._services:
-            if service.stuck_s > self._config.actors.silence_s:
+            if service.stuck_s > self._config.actors.heartbeat_timeout_s:
                 service.replace(service.stuck_s, heard=True)
         self._resize()
         self._check_health()
 
-    def _replace_if_silent(self, actor: Member) -> None:
-        if actor.running is None or actor.given_up:
+    def _replace_if_silent(self, actor: SupervisedProcess) -> None:
+        if actor.running is None or actor.quarantined:
             return
         begun_s, silent_s = time.monotonic() - actor.since_s, self._ingest.silent_for_s(actor.name)
         actor.heard = silent_s < begun_s
-        patience_s = self._config.actors.silence_s + (0.0 if actor.heard else START_S)
+        patience_s = self._config.actors.heartbeat_timeout_s + (0.0 if actor.heard else START_S)
         if min(begun_s, silent_s) > patience_s:
             actor.replace(patience_s, heard=actor.heard)
 
@@ -233,7 +237,7 @@ class WorkersRuntime:
         while len(self._actors) > self._wanted:
             leaver = self._actors.pop()
             leaver.leaving = True
-            leaver.tell("stop", LEAVE_S)
+            leaver.notify("stop", LEAVE_S)
             self._leavers.append((leaver, time.monotonic() + LEAVE_S + STOP_S))
         for leaver, deadline_s in list(self._leavers):
             if leaver.running is None or leaver.running.done() or time.monotonic() > deadline_s:
@@ -245,13 +249,13 @@ class WorkersRuntime:
 
     def _check_health(self) -> None:
         if not any(service.healthy for service in self._services):
-            raise RuntimeError(f"no reward service stays up: {self._services[0].given_up}")
+            raise RuntimeError(f"no reward service stays up: {self._services[0].quarantined}")
         healthy = [actor for actor in self._actors if actor.healthy]
-        if len(healthy) < min(self._config.actors.minimum, self._wanted):
-            trouble = next(actor.given_up for actor in self._actors if actor.given_up)
+        if len(healthy) < min(self._config.actors.min_healthy, self._wanted):
+            trouble = next(actor.quarantined for actor in self._actors if actor.quarantined)
             raise RuntimeError(
                 f"{len(healthy)} of {len(self._actors)} actors are left, "
-                f"wanted {self._config.actors.minimum} (actors.minimum): {trouble}"
+                f"wanted {self._config.actors.min_healthy} (actors.min_healthy): {trouble}"
             )
 
     def _troubles(self) -> str:
@@ -259,7 +263,7 @@ class WorkersRuntime:
         idle = [f"{m.name}: {m.trouble}" for m in self._members if m.running is None or not m.heard]
         return f"; {'; '.join(idle[:4])}; there are {self._platform.resources()}" if idle else ""
 
-    def _outlast(self, members: list[Member], timeout_s: float) -> None:
+    def _outlast(self, members: list[SupervisedProcess], timeout_s: float) -> None:
         deadline_s = time.monotonic() + timeout_s
         while any(member.running is not None and not member.running.done() for member in members):
             if time.monotonic() > deadline_s:

@@ -9,11 +9,11 @@ import torch
 from numpy.typing import NDArray
 
 from giirl_core.config import Config
-from gridcraft.planning import fraction
+from gridcraft.planning import normalized_return
 from gridcraft.world import World, true_reward
 from learner.grid.learner import GridLearner, GridSoftQ
 from learner.grid.nets import policy_table
-from learner.grid.steps import GridSource, Steps, chance_steps
+from learner.grid.steps import GridSource, Steps, random_steps
 
 OPTIMAL = 0.99
 
@@ -33,20 +33,20 @@ def steps_to_optimal(
     torch.manual_seed(config.seed)
     rng = np.random.default_rng([config.seed, 1])
     goals = learner.goals.tolist()
-    chance = chance_steps(world, goals, config.grid.chance_episodes, rng, None)
+    chance = random_steps(world, goals, config.grid.random_episodes, rng, None)
     policy = GridSoftQ(config, learner.sight, learner.goals, chance, rng)
     source = GridSource(world, learner.sight, learner.goals, policy.net, rng)
     frozen = torch.tensor(np.stack(rewards), dtype=torch.float32)
     true = [true_reward(world, pair) for pair in learner.pairs]
 
-    def ask(steps: Steps) -> torch.Tensor:
+    def reward_fn(steps: Steps) -> torch.Tensor:
         asked: torch.Tensor = frozen[steps.goal, steps.state, steps.action]
         return asked
 
     for _ in range(most_iterations):
         rollouts = source.take(config.rollout_batch)
-        policy.update(rollouts, ask(rollouts), ask)
-        got = [fraction(world, policy_table(policy.net, learner.sight, i), r) for i, r in enumerate(true)]
+        policy.update(rollouts, reward_fn(rollouts), reward_fn)
+        got = [normalized_return(world, policy_table(policy.net, learner.sight, i), r) for i, r in enumerate(true)]
         if np.mean(got) >= OPTIMAL:
             return learner.chance_env_steps + source.env_steps
     return None

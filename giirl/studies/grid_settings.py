@@ -31,10 +31,10 @@ def thesis(seed: int = 0) -> Config:
             gradient_penalty=0.05,
             rollouts=0.1,
             replay=0.1,
-            demo_states=0.0,
-            chance=2.0,
+            policy_on_expert_states=0.0,
+            random_actions=2.0,
             wrong_goal=4.0,
-            rename=0.0,
+            rename_prob=0.0,
         ),
         policy=PolicyConfig(updates=12, gamma=0.9, entropy=0.05, learning_rate=3e-3),
         cloning=CloningConfig(batch=8),
@@ -55,7 +55,7 @@ def joint(seed: int = 0, layout_seed: int = 1000) -> Config:
         policy=PolicyConfig(updates=80, gamma=0.9, entropy=0.05, learning_rate=2e-3),
         cloning=CloningConfig(batch=8),
         grid=GridConfig(
-            layouts=(), random_layouts=8, layout_seed=layout_seed, neighbours=True, whole_map=True, measure_every=30
+            layouts=(), random_layouts=8, layout_seed=layout_seed, neighbours=True, full_map=True, measure_every=30
         ),
     )
 
@@ -88,28 +88,34 @@ def held_out_of_three(seed: int, rename: float) -> Config:
     """
     whole = joint(seed)
     quick = _quick(whole, dataclasses.replace(whole.grid, held_out=UNSEEN_OF_THREE))
-    return dataclasses.replace(quick, discriminator=dataclasses.replace(quick.discriminator, rename=rename))
+    return dataclasses.replace(quick, discriminator=dataclasses.replace(quick.discriminator, rename_prob=rename))
 
 
 ABLATIONS: dict[str, dict[str, dict[str, Any]]] = {
     "as reported": {},
     "plain Algorithm 1": {
-        "discriminator": {"rollouts": 1.0, "replay": 0.0, "chance": 0.0, "wrong_goal": 0.0, "gradient_penalty": 0.0}
+        "discriminator": {
+            "rollouts": 1.0,
+            "replay": 0.0,
+            "random_actions": 0.0,
+            "wrong_goal": 0.0,
+            "gradient_penalty": 0.0,
+        }
     },
     "reward D": {"discriminator": {"reward": "d"}},
     "reward log D": {"discriminator": {"reward": "log_d"}},
     "AIRL's discriminator": {"discriminator": {"form": "airl"}},
     "no old samples": {"discriminator": {"replay": 0.0}},
-    "no actions of chance": {"discriminator": {"chance": 0.0}},
+    "no random actions": {"discriminator": {"random_actions": 0.0}},
     "no wrong goals": {"discriminator": {"wrong_goal": 0.0}},
-    "policy's actions on expert states": {"discriminator": {"demo_states": 0.5}},
+    "policy's actions on expert states": {"discriminator": {"policy_on_expert_states": 0.5}},
     "no gradient penalty": {"discriminator": {"gradient_penalty": 0.0}},
     "six times the gradient penalty": {"discriminator": {"gradient_penalty": 0.3}},
     "absorbing states": {"grid": {"absorbing": True}},
-    "no slower discriminator": {"discriminator": {"final_rate": 1.0}},
-    "slower as the policy improves": {"discriminator": {"slow": "accuracy"}},
+    "no slower discriminator": {"discriminator": {"final_lr_fraction": 1.0}},
+    "slower as the policy improves": {"discriminator": {"lr_schedule": "accuracy"}},
     "cells around not seen": {"grid": {"neighbours": False}},
-    "colours renamed": {"discriminator": {"rename": 0.5}},
+    "colours renamed": {"discriminator": {"rename_prob": 0.5}},
     "single words": {"grid": {"order": 1}},
 }
 

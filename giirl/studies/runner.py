@@ -25,9 +25,9 @@ from learner.checkpoint import LATEST, latest_checkpoint
 
 POLL_S = 1.0
 VERSION = importlib.metadata.version("giirl")
-ASKED = "asked.json"  # in a run's folder: what its reward answered
-ELSEWHERE = "elsewhere.json"
-TOGGLED_TASK, ASKED_PAGES = "click-button", 500
+REWARD_EVAL = "reward_eval.json"  # in a run's folder: what its reward answered
+TRANSFER = "transfer.json"
+GOAL_SWAP_TASK, GOAL_SWAP_PAGES = "click-button", 500
 STREAK = 50  # episodes of a task in a row
 POINTS = 60  # of a curve that is kept
 STOP_S = 60.0  # for a run that was told to stop, to save and end
@@ -43,7 +43,7 @@ class Variant:
     name: str
     changes: tuple[str, ...] = ()
     reward_of: str = ""
-    elsewhere: tuple[str, ...] = ()
+    transfer_tasks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,8 +74,8 @@ def plan(base: Sequence[str], variants: Sequence[Variant], seeds: Sequence[int],
     return list(planned.values())
 
 
-def run_all(runs: Sequence[Planned], *, at_once: int, display: Display) -> None:
-    """Do those that are not done, `at_once` at a time; RuntimeError, with all others done, when some failed.
+def run_all(runs: Sequence[Planned], *, jobs: int, display: Display) -> None:
+    """Do those that are not done, `jobs` at a time; RuntimeError, with all others done, when some failed.
 
     Ctrl-C lets each save first; the same command goes on from there.
     """
@@ -85,7 +85,7 @@ def run_all(runs: Sequence[Planned], *, at_once: int, display: Display) -> None:
     with display.job(f"{len(waiting)} runs", sum(run.config.iterations for run in waiting)) as job:
         try:
             while waiting or children:
-                for run in _ready(waiting)[: at_once - len(children)]:
+                for run in _ready(waiting)[: jobs - len(children)]:
                     waiting.remove(run)
                     children.append(_Child(run))
                 time.sleep(POLL_S)
@@ -152,52 +152,52 @@ def _stop(children: Sequence[_Child]) -> None:
             child.process.kill()
 
 
-def ask_all(runs: Sequence[Planned], display: Display) -> None:
+def evaluate_rewards(runs: Sequence[Planned], display: Display) -> None:
     """Ask each learned reward, once, for other goals than the page's own."""
     from giirl.analysis.goal_sensitivity import sensitivity
-    from giirl.analysis.goal_swap import toggle
+    from giirl.analysis.goal_swap import goal_swap
     from giirl.run.train import reward_of_run
     from giirl_core.metrics import Metrics
 
     for run in runs:
         folder = RunFolder(run.folder)
-        if run.config.algorithm != "giirl" or (folder.path / ASKED).exists():
+        if run.config.algorithm != "giirl" or (folder.path / REWARD_EVAL).exists():
             continue
         reward = reward_of_run(folder.path)
-        found: dict[str, Any] = {"sensitivity": sensitivity(run.config, reward, ASKED_PAGES, Metrics(), display)}
-        if TOGGLED_TASK in run.config.tasks:
-            found["toggle"] = toggle(run.config, reward, TOGGLED_TASK, ASKED_PAGES, Metrics(), display)
-        folder.write_json(folder.path / ASKED, found)
+        found: dict[str, Any] = {"sensitivity": sensitivity(run.config, reward, GOAL_SWAP_PAGES, Metrics(), display)}
+        if GOAL_SWAP_TASK in run.config.tasks:
+            found["goal_swap"] = goal_swap(run.config, reward, GOAL_SWAP_TASK, GOAL_SWAP_PAGES, Metrics(), display)
+        folder.write_json(folder.path / REWARD_EVAL, found)
 
 
-def measure_elsewhere(runs: Sequence[Planned], display: Display) -> None:
+def measure_transfer(runs: Sequence[Planned], display: Display) -> None:
     """How policies do on tasks that they never saw, once."""
     from giirl.run.evaluate import evaluate
     from giirl_core.metrics import Metrics
 
     for run in runs:
         folder = RunFolder(run.folder)
-        if run.variant.elsewhere and not (folder.path / ELSEWHERE).exists():
+        if run.variant.transfer_tasks and not (folder.path / TRANSFER).exists():
             policy = folder.weights(latest_checkpoint(folder.checkpoints), "policy")
-            config = replace(run.config, tasks=run.variant.elsewhere)
-            folder.write_json(folder.path / ELSEWHERE, evaluate(config, policy, Metrics(), display))
+            config = replace(run.config, tasks=run.variant.transfer_tasks)
+            folder.write_json(folder.path / TRANSFER, evaluate(config, policy, Metrics(), display))
 
 
-def record(run: Planned, *, asked: bool = False) -> dict[str, Any]:
-    """What a run that is done has to tell: its result, its curve, what its reward answered if `asked`."""
+def record(run: Planned, *, evaluates_reward: bool = False) -> dict[str, Any]:
+    """What a run that is done has to tell: its result, its curve, what its reward answered if `evaluates_reward`."""
     folder = RunFolder(run.folder)
     points = folder.points()
     result: dict[str, Any] = json.loads(folder.result.read_text())
-    if run.variant.elsewhere:
-        result["tasks"] |= json.loads((folder.path / ELSEWHERE).read_text())
-    answers = folder.path / ASKED
+    if run.variant.transfer_tasks:
+        result["tasks"] |= json.loads((folder.path / TRANSFER).read_text())
+    answers = folder.path / REWARD_EVAL
     return {
         "variant": run.variant.name,
         "giirl": VERSION,
         "settings": [one for one in changed(run.config) if not one.startswith("reward_from=")],
         **({"reward_of": run.variant.reward_of} if run.variant.reward_of else {}),
         **result,
-        **(json.loads(answers.read_text()) if asked and answers.exists() else {}),
+        **(json.loads(answers.read_text()) if evaluates_reward and answers.exists() else {}),
         "episodes_to": {f"{share:g}": _reached(points, share, "episodes") for share in (0.95, 0.99)},
         "env_steps_to": {f"{share:g}": _reached(points, share, "env_steps") for share in (0.95, 0.99)},
         "curve": _shortened(points),

@@ -9,29 +9,35 @@ from giirl.studies.runner import Variant
 
 RECORDINGS = "2017-10-16_second-turk"
 BUDGETS = (1, 2, 4, 8, 16, 32)
-SPOILED = (0.1, 0.3)
+NOISE_FRACTIONS = (0.1, 0.3)
 
 GIIRL = Variant(name="giirl")
 CLONING = Variant(name="cloning", changes=("algorithm=cloning",))
 TRUE_REWARD = Variant(name="true reward", changes=("algorithm=true_reward", "policy.entropy=0.006"))
 BARE_CLONING = Variant(  # same words and places, four times as long, at one rate: where it overfits, this shows it
     name="cloning, nothing renamed, 1,200 updates",
-    changes=("algorithm=cloning", "cloning.rename=0", "cloning.jitter=0", "cloning.final_rate=1", "iterations=1200"),
+    changes=(
+        "algorithm=cloning",
+        "cloning.rename_prob=0",
+        "cloning.position_jitter=0",
+        "cloning.final_lr_fraction=1",
+        "iterations=1200",
+    ),
 )
 PLAIN = (  # Algorithm 1 as the thesis has it, and GAIL's way to play against a discriminator
     "discriminator.rollouts=1",
     "discriminator.replay=0",
-    "discriminator.demo_states=0",
-    "discriminator.chance=0",
+    "discriminator.policy_on_expert_states=0",
+    "discriminator.random_actions=0",
     "discriminator.wrong_goal=0",
-    "discriminator.rename=0",
-    "policy.asked=0",
+    "discriminator.rename_prob=0",
+    "policy.sampled_actions=0",
 )
 AIRL = (  # its reward is made for alpha = 1, and its D is right for what the policy does today and for nothing else
     "discriminator.form=airl",
     "discriminator.rollouts=0.5",
     "discriminator.replay=0",
-    "discriminator.chance=0",
+    "discriminator.random_actions=0",
     "discriminator.wrong_goal=0",
     "discriminator.clip=10",
     "policy.entropy=1",
@@ -39,9 +45,9 @@ AIRL = (  # its reward is made for alpha = 1, and its D is right for what the po
 )
 AGILE = (  # a classifier of how episodes end
     "discriminator.replay=1",
-    "discriminator.judges=ends",
+    "discriminator.train_on=final_steps",
     "discriminator.reward=goal",
-    "discriminator.trim=0.25",
+    "discriminator.discard_top_fraction=0.25",
 )
 BASELINES = (
     GIIRL,
@@ -65,27 +71,32 @@ TUNED = (  # what each was tried with, on tuning seeds
 )
 NETS = (
     GIIRL,
-    Variant(name="bag of words", changes=("net.order=false",)),
+    Variant(name="bag of words", changes=("net.word_order=false",)),
     Variant(name="hashed words instead of GloVe", changes=("net.vectors=hashed",)),
-    Variant(name="no overlap features", changes=("net.overlap=false",)),
-    Variant(name="no neighbours", changes=("net.neighbours=false",)),
+    Variant(name="no goal overlap", changes=("net.goal_overlap=false",)),
+    Variant(name="no element attention", changes=("net.element_attention=false",)),
     Variant(name="AIRL's form", changes=AIRL),
-    Variant(name="slower as the policy improves", changes=("discriminator.slow=accuracy",)),
+    Variant(name="slower as the policy improves", changes=("discriminator.lr_schedule=accuracy",)),
     Variant(name="gradient penalty 1", changes=("discriminator.gradient_penalty=1",)),
 )
 DEFAULTS = (  # one thing changed at a time
     GIIRL,
     Variant(name="plain Algorithm 1", changes=PLAIN),
-    Variant(name="without the policy's actions on experts' pages", changes=("discriminator.demo_states=0",)),
-    Variant(name="without actions of chance", changes=("discriminator.chance=0",)),
+    Variant(
+        name="without the policy's actions on experts' pages", changes=("discriminator.policy_on_expert_states=0",)
+    ),
+    Variant(name="without random actions", changes=("discriminator.random_actions=0",)),
     Variant(name="without wrong goals", changes=("discriminator.wrong_goal=0",)),
-    Variant(name="without renaming", changes=("discriminator.rename=0",)),
+    Variant(name="without renaming", changes=("discriminator.rename_prob=0",)),
     Variant(name="without replay", changes=("discriminator.replay=0",)),
     Variant(name="with a gradient penalty of 1", changes=("discriminator.gradient_penalty=1",)),
-    Variant(name="the reward not asked about other actions", changes=("policy.asked=0",)),
-    Variant(name="learning rates that do not fall", changes=("discriminator.final_rate=1", "policy.final_rate=1")),
+    Variant(name="no sampled actions", changes=("policy.sampled_actions=0",)),
+    Variant(
+        name="learning rates that do not fall",
+        changes=("discriminator.final_lr_fraction=1", "policy.final_lr_fraction=1"),
+    ),
     CLONING,
-    Variant(name="started by 200 updates of cloning", changes=("policy.cloning_start=200",)),
+    Variant(name="started by 200 updates of cloning", changes=("policy.bc_warmup_updates=200",)),
 )
 FOLLOWERS = (
     GIIRL,
@@ -104,8 +115,8 @@ class Study:
     settings: tuple[str, ...] = ()
     pages: int = 200
     curves: bool = False  # whether success against environment steps is drawn
-    asked: bool = False  # whether each learned reward is asked for other goals than the page's own
-    chooses: bool = False  # whether settings are chosen by it, so that its seeds are those for tuning
+    evaluates_reward: bool = False  # whether each learned reward is asked for other goals than the page's own
+    tuning: bool = False  # whether settings are chosen by it, so that its seeds are those for tuning
 
 
 def _budgets() -> tuple[Variant, ...]:
@@ -115,13 +126,13 @@ def _budgets() -> tuple[Variant, ...]:
         for variant in (GIIRL, CLONING)
     ]
     spoiled = [
-        Variant(name=f"{variant.name}, {share:.0%} spoiled", changes=(*variant.changes, f"demos.spoiled={share}"))
-        for share in SPOILED
+        Variant(name=f"{variant.name}, {share:.0%} noise", changes=(*variant.changes, f"demos.noise_fraction={share}"))
+        for share in NOISE_FRACTIONS
         for variant in (GIIRL, CLONING)
     ]
     uninformed = Variant(  # spoilers act by chance, which a discriminator that has seen chance knows
-        name=f"giirl without actions of chance, {SPOILED[-1]:.0%} spoiled",
-        changes=("discriminator.chance=0", f"demos.spoiled={SPOILED[-1]}"),
+        name=f"giirl without random actions, {NOISE_FRACTIONS[-1]:.0%} noise",
+        changes=("discriminator.random_actions=0", f"demos.noise_fraction={NOISE_FRACTIONS[-1]}"),
     )
     return (*few, *spoiled, uninformed)
 
@@ -134,11 +145,14 @@ def _tuning() -> tuple[Variant, ...]:
         for name, key, values in TUNED
         for value in values
     ]
-    spoiled = (*CLONING.changes, f"demos.spoiled={SPOILED[-1]}")  # where a rate that stays high might hurt
+    spoiled = (
+        *CLONING.changes,
+        f"demos.noise_fraction={NOISE_FRACTIONS[-1]}",
+    )  # where a rate that stays high might hurt
     cloned = [
         Variant(
-            name=f"cloning, {SPOILED[-1]:.0%} spoiled, cloning.final_rate {value}",
-            changes=(*spoiled, f"cloning.final_rate={value}"),
+            name=f"cloning, {NOISE_FRACTIONS[-1]:.0%} noise, cloning.final_lr_fraction {value}",
+            changes=(*spoiled, f"cloning.final_lr_fraction={value}"),
         )
         for value in (1.0, 0.1)
     ]
@@ -154,8 +168,8 @@ def _families() -> tuple[Variant, ...]:
     variants: list[Variant] = []
     for source, targets in moves.items():
         here = (f'tasks=["{source}"]',)
-        learned = Variant(name=f"giirl on {source}", changes=here, elsewhere=targets)
-        cloned = Variant(name=f"cloning on {source}", changes=(*here, *CLONING.changes), elsewhere=targets)
+        learned = Variant(name=f"giirl on {source}", changes=here, transfer_tasks=targets)
+        cloned = Variant(name=f"cloning on {source}", changes=(*here, *CLONING.changes), transfer_tasks=targets)
         variants += [learned, cloned]
         for target in targets:
             there = (f'tasks=["{target}"]',)
@@ -166,13 +180,15 @@ def _families() -> tuple[Variant, ...]:
 
 
 STUDIES = {
-    "table-4.1": Study(what="Success on the thesis's four web tasks", variants=(GIIRL,), pages=1000, asked=True),
+    "table-4.1": Study(
+        what="Success on the thesis's four web tasks", variants=(GIIRL,), pages=1000, evaluates_reward=True
+    ),
     "figure-4.7": Study(what="True success while a reward is learned", variants=(GIIRL,), curves=True),
     "figure-4.8": Study(what="GIIRL and cloning as they train", variants=(GIIRL, CLONING, BARE_CLONING), curves=True),
-    "meaning": Study(what="Whether the reward reads the instruction", variants=(GIIRL,), asked=True),
-    "defaults": Study(what="What the defaults are worth", variants=DEFAULTS, asked=True, chooses=True),
+    "meaning": Study(what="Whether the reward reads the instruction", variants=(GIIRL,), evaluates_reward=True),
+    "defaults": Study(what="What the defaults are worth", variants=DEFAULTS, evaluates_reward=True, tuning=True),
     "baselines": Study(what="What GIIRL is compared with, on the same nets", variants=BASELINES, curves=True),
-    "tuning": Study(what="What the baselines were tried with", variants=_tuning(), chooses=True),
+    "tuning": Study(what="What the baselines were tried with", variants=_tuning(), tuning=True),
     "budgets": Study(what="Few demonstrations, and spoiled ones", variants=_budgets()),
     "frozen": Study(what="Fresh policies on the frozen reward", variants=FOLLOWERS, curves=True),
     "held-out": Study(
@@ -180,14 +196,19 @@ STUDIES = {
         variants=(GIIRL, CLONING, Variant(name="fresh policy, frozen reward", reward_of="giirl")),
         settings=('tasks=["click-button", "click-link", "enter-text"]', "held_out_goals=0.25"),
         pages=1000,
-        asked=True,
+        evaluates_reward=True,
     ),
     "families": Study(
         what="A reward moved within a family of tasks",
         variants=_families(),
-        settings=("step_limit=20", "net.beside=true"),  # twelve boxes to tick, whose labels stand beside them
+        settings=(
+            "step_limit=20",
+            "net.adjacent_elements=true",
+        ),  # twelve boxes to tick, whose labels stand beside them
     ),
-    "nets": Study(what="What each part of the nets is worth, in policy and reward alike", variants=NETS, asked=True),
+    "nets": Study(
+        what="What each part of the nets is worth, in policy and reward alike", variants=NETS, evaluates_reward=True
+    ),
 }
 
 
@@ -196,5 +217,5 @@ def base_settings(study: Study, demos: Path | None) -> tuple[str, ...]:
     source: tuple[str, ...] = ("demos.source=scripted",)
     if demos is not None:
         source = ("demos.source=recordings", f"demos.path={demos}", f'demos.collections=["{RECORDINGS}"]')
-    pages = (f"evaluate.episodes={study.pages}", f"evaluate.floor_episodes={study.pages}")
+    pages = (f"evaluate.episodes={study.pages}", f"evaluate.random_episodes={study.pages}")
     return (*source, "demos.per_task=32", *pages, *study.settings)

@@ -223,7 +223,7 @@ def _table(actions: Sequence[Action]) -> Tensor:
     return torch.from_numpy(table).T.contiguous()
 
 
-def rename(batch: Batch, actions: ActionBatch, chance: float, jitter: float, noise: torch.Generator) -> Batch:
+def rename(batch: Batch, actions: ActionBatch, chance: float, jitter: float, generator: torch.Generator) -> Batch:
     """The same pages, with one action each, in other words: open words become random ones, alike in goal and page.
 
     A row is renamed with probability `chance`; overlap features stay as they are, since renaming is
@@ -231,12 +231,12 @@ def rename(batch: Batch, actions: ActionBatch, chance: float, jitter: float, noi
     must read which words agree, and cannot remember which pages were demonstrated.
     """
     size = len(batch)
-    chosen = torch.rand(size, generator=noise) < chance
-    salt = torch.randint(1, 1 << 30, (size,), generator=noise) | 1
+    chosen = torch.rand(size, generator=generator) < chance
+    salt = torch.randint(1, 1 << 30, (size,), generator=generator) | 1
     rows = torch.arange(batch.token_words.shape[1])
     typed = (rows >= actions.start) & (rows <= actions.end) & (actions.start != NO_SPAN)
     opened = (batch.token_open | typed) & (batch.token_words >= FIRST_WORD) & chosen[:, None]
-    shift = (torch.rand(size, 1, 2, generator=noise) * 2 - 1) * jitter * chosen[:, None, None]
+    shift = (torch.rand(size, 1, 2, generator=generator) * 2 - 1) * jitter * chosen[:, None, None]
     flags = batch.element_flags.clone()
     flags[:, :, :2] += shift
     return replace(

@@ -24,7 +24,7 @@ from giirl_core.nets.language import PADDING, Vectors
 from giirl_core.types import LEARNED, NO_SPAN, Verb
 
 VERBS = len(LEARNED)  # CLICK and TYPE, which are 0 and 1: the nets go on learning these alone
-NEVER = -1e9  # the logit of what may not be chosen
+MASKED_LOGIT = -1e9  # the logit of what may not be chosen
 BESIDE_PX = 4.0  # what stands further away counts e times less
 LINES_APART = 3.0  # how much more a pixel up or down counts than one to the side
 
@@ -56,19 +56,19 @@ class Encoder(nn.Module):
         self.align = nn.Linear(width, width)
         self.aligned = nn.Linear(2 * width, width)
         self.neighbours = Attention(width)
-        self.beside = nn.Linear(width, width) if config.beside else None
+        self.beside = nn.Linear(width, width) if config.adjacent_elements else None
         self.goal_pool = nn.Linear(width, 1)
         self.summary = nn.Linear(3 * width, width)
 
     def forward(self, batch: Batch) -> Encoding:
-        batch = batch if self.config.overlap else without_overlap(batch)
+        batch = batch if self.config.goal_overlap else without_overlap(batch)
         tokens = self._read_goal(batch)
         elements = self._read_page(batch, tokens)
-        weights = self.goal_pool(tokens).squeeze(2).masked_fill(~batch.token_mask, NEVER).softmax(1)
+        weights = self.goal_pool(tokens).squeeze(2).masked_fill(~batch.token_mask, MASKED_LOGIT).softmax(1)
         goal = torch.einsum("bl,bld->bd", weights, tokens)
         real = batch.element_mask.unsqueeze(2)
         mean = (elements * real).sum(1) / real.sum(1).clamp(min=1)
-        peak = elements.masked_fill(~real, NEVER).amax(1)
+        peak = elements.masked_fill(~real, MASKED_LOGIT).amax(1)
         summary = torch.relu(self.summary(torch.cat([goal, mean, peak], dim=1)))
         return Encoding(tokens, elements, summary)
 
@@ -76,7 +76,7 @@ class Encoder(nn.Module):
         """[B, L, D]: each word in the light of its neighbours."""
         mask = batch.token_mask.unsqueeze(2)
         hidden = torch.relu(self.token_in(torch.cat([self.table[batch.token_words], batch.token_flags], 2)))
-        for conv in self.token_conv if self.config.order else ():
+        for conv in self.token_conv if self.config.word_order else ():
             hidden = hidden * mask
             hidden = hidden + torch.relu(conv(hidden.transpose(1, 2)).transpose(1, 2))
         return hidden * mask
@@ -90,10 +90,10 @@ class Encoder(nn.Module):
         parts = [text, self.tag(batch.element_tag), classes, batch.element_flags, repeated]
         hidden = torch.relu(self.element_in(torch.cat(parts, dim=2)))
         likeness = torch.einsum("bed,bld->bel", self.align(hidden), tokens) / hidden.shape[2] ** 0.5
-        likeness = likeness.masked_fill(~batch.token_mask.unsqueeze(1), NEVER).softmax(2)
+        likeness = likeness.masked_fill(~batch.token_mask.unsqueeze(1), MASKED_LOGIT).softmax(2)
         alignment = torch.einsum("bel,bld->bed", likeness, tokens)
         hidden = hidden + torch.relu(self.aligned(torch.cat([hidden, alignment], dim=2)))
-        out: Tensor = hidden + self.neighbours(hidden, batch.element_mask) if self.config.neighbours else hidden
+        out: Tensor = hidden + self.neighbours(hidden, batch.element_mask) if self.config.element_attention else hidden
         if self.beside is not None:
             out = out + torch.relu(self.beside(torch.einsum("bij,bjd->bid", nearness(batch), hidden)))
         return out
@@ -111,7 +111,7 @@ def nearness(batch: Batch) -> Tensor:
     gap = (centre[:, :, None] - centre[:, None]).abs() - (size[:, :, None] + size[:, None]) / 2
     across, down = gap.clamp(min=0).unbind(3)
     other = batch.clickable[:, None, :] & ~torch.eye(box.shape[1], dtype=torch.bool)
-    scores = (-(across + LINES_APART * down) / BESIDE_PX).masked_fill(~other, NEVER)
+    scores = (-(across + LINES_APART * down) / BESIDE_PX).masked_fill(~other, MASKED_LOGIT)
     return scores.softmax(2) * other
 
 
@@ -128,13 +128,13 @@ class Attention(nn.Module):
         size, count, width = x.shape
         q, k, v = self.project(x).view(size, count, 3, self.heads, -1).unbind(2)
         scores = torch.einsum("bihd,bjhd->bhij", q, k) / (width // self.heads) ** 0.5
-        weights = scores.masked_fill(~mask[:, None, None, :], NEVER).softmax(3)
+        weights = scores.masked_fill(~mask[:, None, None, :], MASKED_LOGIT).softmax(3)
         mixed = torch.einsum("bhij,bjhd->bihd", weights, v).reshape(size, count, width)
         out: Tensor = torch.relu(self.out(mixed))
         return out
 
 
-class Policy(nn.Module):
+class PolicyNet(nn.Module):
     """pi_theta(a | s, g): a pointer over (element, verb), then over the first and last word to copy; and V(s, g).
 
     Every page may be asked about M actions at once; [B, M] below.
@@ -154,7 +154,7 @@ class Policy(nn.Module):
         summary = seen.summary.unsqueeze(1).expand_as(seen.elements)
         logits = self.act(torch.cat([seen.elements, summary], dim=2))
         legal = torch.stack([batch.clickable, batch.typable], dim=2)
-        out: Tensor = logits.masked_fill(~legal, NEVER).flatten(1).log_softmax(1)
+        out: Tensor = logits.masked_fill(~legal, MASKED_LOGIT).flatten(1).log_softmax(1)
         return out
 
     def _starts(self, batch: Batch, seen: Encoding, element: Tensor) -> Tensor:
@@ -213,7 +213,7 @@ class Policy(nn.Module):
         value: Tensor = self.value(seen.summary).squeeze(1)
         return logp, _entropy(pairs) + copied, value
 
-    def worth(self, batch: Batch) -> Tensor:
+    def value_of(self, batch: Batch) -> Tensor:
         """V(s, g) [B]."""
         seen: Encoding = self.encoder(batch)
         value: Tensor = self.value(seen.summary).squeeze(1)
@@ -223,22 +223,20 @@ class Policy(nn.Module):
 class RewardNet(nn.Module):
     """The logit of D_phi(s, a | g): the policy's reading of the page, with the action marked, ending in one number."""
 
-    def __init__(self, vectors: Vectors, config: NetConfig, dropout: float = 0.0) -> None:
+    def __init__(self, vectors: Vectors, config: NetConfig) -> None:
         super().__init__()
         width = config.width
         self.encoder = Encoder(vectors, config)
         self.verb = nn.Embedding(VERBS, 16)
         self.absent = nn.Parameter(torch.zeros(2, width))  # nothing typed; typed words that the goal lacks
-        self.judge = nn.Sequential(
-            nn.Linear(4 * width + 16, width), nn.ReLU(), nn.Dropout(dropout), nn.Linear(width, 1)
-        )
+        self.head = nn.Sequential(nn.Linear(4 * width + 16, width), nn.ReLU(), nn.Linear(width, 1))
 
     def forward(self, batch: Batch, actions: ActionBatch) -> Tensor:
         """[B, M] logits, log D - log(1 - D), of M actions on each page."""
-        out: Tensor = self.judge(self.read(batch, actions)).squeeze(2)
+        out: Tensor = self.head(self.encode(batch, actions)).squeeze(2)
         return out
 
-    def read(self, batch: Batch, actions: ActionBatch) -> Tensor:
+    def encode(self, batch: Batch, actions: ActionBatch) -> Tensor:
         """[B, M, 4 * width + 16]: the action's element, the page and goal, the words copied, the verb."""
         seen: Encoding = self.encoder(batch)
         first = _pick(seen.tokens, actions.start.clamp(min=0))
@@ -269,7 +267,7 @@ def _at(logp: Tensor, index: Tensor) -> Tensor:
 def _point(query: Tensor, keys: Tensor, mask: Tensor) -> Tensor:
     """[B, M, L] log-probabilities of the keys [B, L, D] under the queries [B, M, D]."""
     scores = torch.einsum("bmd,bld->bml", query, keys) / query.shape[2] ** 0.5
-    logp: Tensor = scores.masked_fill(~mask, NEVER).log_softmax(2)
+    logp: Tensor = scores.masked_fill(~mask, MASKED_LOGIT).log_softmax(2)
     return logp
 
 
@@ -277,7 +275,7 @@ def _flatten(logp: Tensor, flat: Tensor | None) -> Tensor:
     """The same distribution, but uniform over what is legal where `flat` [M] is True."""
     if flat is None:
         return logp
-    return torch.where(flat.unsqueeze(1) & (logp > NEVER / 2), 0.0, logp).log_softmax(2)
+    return torch.where(flat.unsqueeze(1) & (logp > MASKED_LOGIT / 2), 0.0, logp).log_softmax(2)
 
 
 def _draw(logp: Tensor, uniform: Tensor | None) -> Tensor:
@@ -285,7 +283,7 @@ def _draw(logp: Tensor, uniform: Tensor | None) -> Tensor:
     if uniform is None:
         return logp.argmax(2)
     passed = logp.exp().cumsum(2) <= uniform.unsqueeze(2)  # a draw of exactly 0 passes what may not be chosen
-    legal = (logp > NEVER / 2).long()
+    legal = (logp > MASKED_LOGIT / 2).long()
     last = logp.shape[2] - 1 - legal.flip(2).argmax(2)
     return torch.minimum(passed.sum(2), last)
 

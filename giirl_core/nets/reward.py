@@ -13,7 +13,7 @@ from torch.nn import functional
 from giirl_core.config import Config
 from giirl_core.nets.features import collate, collate_actions, collate_choices, featurise
 from giirl_core.nets.language import Vectors, load_vectors
-from giirl_core.nets.models import Policy, RewardNet
+from giirl_core.nets.models import PolicyNet, RewardNet
 from giirl_core.nets.parameters import load_net
 from giirl_core.types import Action, Goal, Page, Trajectory, Weights
 
@@ -92,12 +92,12 @@ class RewardModel:
 def build_reward(config: Config, weights: Weights | None = None) -> RewardModel:
     """The reward of a run's config, with its weights when there are any."""
     vectors = load_vectors(config.net.vectors)
-    net = RewardNet(vectors, config.net, config.discriminator.dropout)
+    net = RewardNet(vectors, config.net)
     if weights is not None:
         load_net(net, weights)
     return RewardModel(net, vectors, config.discriminator.reward, config.discriminator.clip)
 
 
-def build_policy(config: Config) -> Policy:
+def build_policy(config: Config) -> PolicyNet:
     """An untrained policy of a run's config."""
-    return Policy(load_vectors(config.net.vectors), config.net)
+    return PolicyNet(load_vectors(config.net.vectors), config.net)

@@ -57,8 +57,8 @@ class RayCall:
 class RayProcess:
     """A Ray actor that Ray starts again for as long as it is wanted."""
 
-    def __init__(self, handle: Any, *, found: bool) -> None:
-        self._handle, self.found = handle, found
+    def __init__(self, handle: Any, *, reattached: bool) -> None:
+        self._handle, self.reattached = handle, reattached
 
     def call(self, method: str, *values: Any) -> RayCall:
         # What is asked while Ray starts the process is answered as soon as that is up. Nothing else may run twice.
@@ -73,7 +73,7 @@ class RayPlatform:
     """Ray, started here for this run alone, or joined."""
 
     def __init__(self, config: Config, run: str) -> None:
-        self.alone, self._run = config.runtime == "local", run
+        self.single_node, self._run = config.runtime == "local", run
         terminated = signal.getsignal(signal.SIGTERM)
         try:
             _init(config)
@@ -82,21 +82,21 @@ class RayPlatform:
                 raise
             raise RuntimeError(f"Ray did not start, tried {START_TRIES} times: {error}") from error
         signal.signal(signal.SIGTERM, terminated)  # Ray puts its own in place, which ends a run unsaved
-        self.host = "127.0.0.1" if self.alone else _node()
+        self.host = "127.0.0.1" if self.single_node else _node()
 
     def start(self, kind: type[Any], name: str, *values: Any, cpus: int, threads: int = THREADS) -> RayProcess:
         full = f"{self._run}/{name}"
-        if not self.alone:
+        if not self.single_node:
             try:
-                return RayProcess(ray.get_actor(full, NAMESPACE), found=True)
+                return RayProcess(ray.get_actor(full, NAMESPACE), reattached=True)
             except ValueError:
                 pass  # nobody has this name yet
         # Ray pickles this class by value and its bases by name, so a process imports the module of its kind alone.
         made = type(kind.__name__, (_OnRay, kind), {})
         options: dict[str, Any] = {"num_cpus": cpus, "max_restarts": -1, "max_concurrency": threads}
-        if not self.alone:
+        if not self.single_node:
             options |= {"name": full, "namespace": NAMESPACE, "lifetime": "detached"}
-        return RayProcess(ray.remote(made).options(**options).remote(*values), found=False)
+        return RayProcess(ray.remote(made).options(**options).remote(*values), reattached=False)
 
     def share(self, value: Any) -> Any:
         return ray.put(value)

@@ -41,7 +41,7 @@ class Call(Protocol):
 class Process(Protocol):
     """An object in another process. A platform starts it anew when it dies."""
 
-    found: bool  # it was there already: the learner before this one started it
+    reattached: bool  # it was there already: the learner before this one started it
 
     def call(self, method: str, *values: Any) -> Call: ...
 
@@ -52,7 +52,7 @@ class Platform(Protocol):
     """Whoever starts processes."""
 
     host: str  # where this process can be reached by them
-    alone: bool  # all of them on this machine, and gone when this process is
+    single_node: bool  # all of them on this machine, and gone when this process is
 
     def start(self, kind: type[Any], name: str, *values: Any, cpus: int, threads: int = ...) -> Process: ...
 
@@ -63,14 +63,14 @@ class Platform(Protocol):
     def close(self) -> None: ...
 
 
-class Member:
+class SupervisedProcess:
     """A process with one long call that should not return: when it does, `begin` makes that call again."""
 
     def __init__(self, name: str, process: Process, begin: Callable[[Process, int], Call], metrics: Metrics) -> None:
         self.name, self.process, self._begin, self._metrics = name, process, begin, metrics
         self.kind = name.rpartition("-")[0]
         self.restarts, self._crashes = 0, 0
-        self.given_up = ""  # why it is not started again
+        self.quarantined = ""  # why it is not started again
         self.trouble = "it has not started yet"  # what it was seen to suffer from last
         self.since_s = time.monotonic()  # when it was started, or begun
         self.running: Call | None = None
@@ -81,11 +81,11 @@ class Member:
 
     @property
     def healthy(self) -> bool:
-        return not self.given_up and not self.leaving
+        return not self.quarantined and not self.leaving
 
-    def tend(self) -> None:
+    def poll(self) -> None:
         """Begin again what ended, unless it ends as soon as it begins."""
-        if self.given_up:
+        if self.quarantined:
             return
         if self.running is not None:
             if self.running.done() and not self.leaving:
@@ -102,7 +102,7 @@ class Member:
         self._unsent = weights
         self._deliver()
 
-    def tell(self, method: str, *values: Any) -> None:
+    def notify(self, method: str, *values: Any) -> None:
         """Say something that needs no answer, to a process that runs."""
         if self.running is not None:
             self.process.call(method, *values)
@@ -152,7 +152,7 @@ class Member:
         self._crashes = 1 if fared_well else self._crashes + 1
         self._metrics.worker_restarts.labels(self.kind).inc()
         if self._crashes >= CRASHES:
-            self.given_up = trouble
+            self.quarantined = trouble
             LOG.error("%s is given up after ending %d times at once: %s", self.name, CRASHES, trouble)
             return
         LOG.warning("%s ended and is started again: %s", self.name, trouble)

@@ -3,10 +3,10 @@
     actor                                learner
       | hello                               |
       | ----------------------------------> |  fences older incarnations, counts what they took with them
-      | <------------------------ grant --- |  judged so far, committed so far, how far it may send
+      | <------------------------ grant --- |  acked so far, committed so far, how far it may send
       | episode 0, 1, .. below the limit    |
       | ----------------------------------> |  judges each once: queued, or dropped and counted
-      | <------------------------ grant --- |  when something was judged, taken or committed
+      | <------------------------ grant --- |  when something was acked, taken or committed
       | beat                                |
       | ----------------------------------> |  answered by a grant, or by `who` when the learner is a new one
       | bye                                 |
@@ -14,7 +14,7 @@
 
 Notices and grants state all there is to know, not what has changed: one that is lost or comes twice does no harm.
 Messages keep their order on one connection. So a grant that answers a notice sent after an episode, and does not
-call that episode judged, says that the episode was lost on the way.
+call that episode acked, says that the episode was lost on the way.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from giirl_core.wire import messages as wire
 from giirl_core.wire.columns import take
 from giirl_core.wire.messages import MAX_COUNT, Header, Stamp, WireError
 
-HELLO, BEAT, BYE, EPISODE = "hello", "beat", "bye", "episode"  # from actors, all stamped
-NOTICES = frozenset({HELLO, BEAT, BYE})
-GRANT, WHO, REFUSED = "grant", "who", "refused"  # from the learner
+HELLO, HEARTBEAT, BYE, EPISODE = "hello", "heartbeat", "bye", "episode"  # from actors, all stamped
+NOTICES = frozenset({HELLO, HEARTBEAT, BYE})
+GRANT, UNKNOWN_ACTOR, REFUSED = "grant", "unknown_actor", "refused"  # from the learner
 FENCED, OTHER_RUN = "fenced", "other_run"  # why an actor is refused
 MAX_BEFORE = 4096  # earlier incarnations in one notice
 Before = tuple[tuple[int, int], ...]
@@ -60,17 +60,17 @@ class Grant:
 
     incarnation: int
     notice: int  # the last notice that was heard
-    floor: int  # every sequence below has been judged
-    judged: tuple[int, ...] = ()  # and these above it
+    low_watermark: int  # every sequence below has been judged
+    acked: tuple[int, ...] = ()  # and these above it
     committed: int  # every sequence below is covered by a checkpoint: the actor may forget it
     settled: int  # incarnations below are closed in a checkpoint: what they lost has been counted for good
     limit: int  # the actor may send sequences below
 
-    def has_judged(self, sequence: int) -> bool:
-        return sequence < self.floor or sequence in self.judged
+    def is_acked(self, sequence: int) -> bool:
+        return sequence < self.low_watermark or sequence in self.acked
 
 
-NUMBERS = ("incarnation", "notice", "floor", "committed", "settled", "limit")
+NUMBERS = ("incarnation", "notice", "low_watermark", "committed", "settled", "limit")
 
 
 def encode_notice(notice: Notice) -> bytes:
@@ -92,14 +92,12 @@ def encode_notice(notice: Notice) -> bytes:
 
 def encode_grant(grant: Grant) -> bytes:
     """The learner's answer to whatever an actor said."""
-    return wire.encode(
-        {"kind": GRANT, **{name: getattr(grant, name) for name in NUMBERS}, "judged": list(grant.judged)}
-    )
+    return wire.encode({"kind": GRANT, **{name: getattr(grant, name) for name in NUMBERS}, "acked": list(grant.acked)})
 
 
 def encode_who() -> bytes:
     """The learner does not know the actor: it should say hello."""
-    return wire.encode({"kind": WHO})
+    return wire.encode({"kind": UNKNOWN_ACTOR})
 
 
 def encode_refused(reason: str, stamp: Stamp) -> bytes:
@@ -133,11 +131,11 @@ def read_notice(header: Header, stamp: Stamp) -> Notice:
 def read_grant(header: Header) -> Grant:
     """The grant of a decoded message."""
     wire.expect(header, GRANT)
-    judged: Any = header.get("judged")
-    if not isinstance(judged, list) or not all(type(sequence) is int for sequence in judged):
-        raise WireError(f"header field 'judged' is {judged!r:.80}, wanted a list of sequences")
+    acked: Any = header.get("acked")
+    if not isinstance(acked, list) or not all(type(sequence) is int for sequence in acked):
+        raise WireError(f"header field 'acked' is {acked!r:.80}, wanted a list of sequences")
     with wire.untrusted():
-        return Grant(judged=tuple(judged), **{name: take(header, name, int) for name in NUMBERS})
+        return Grant(acked=tuple(acked), **{name: take(header, name, int) for name in NUMBERS})
 
 
 def _is_pair(entry: object) -> bool:

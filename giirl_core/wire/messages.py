@@ -19,12 +19,12 @@ import msgpack
 import numpy as np
 from xxhash import xxh3_64_intdigest
 
-from giirl_core.files import whole_file
+from giirl_core.files import atomic_write
 from giirl_core.types import Episode, Outcome
 from giirl_core.wire import columns as cols
 from giirl_core.wire.columns import Column, Columns, take
 
-SCHEMA = 4
+SCHEMA = 5
 MAGIC = b"GIRL"
 PREFIX = struct.Struct("<4sIQ")  # magic, schema, checksum
 LENGTH = struct.Struct("<Q")
@@ -162,7 +162,7 @@ def build_episode(header: Header, arrays: Columns) -> Episode:
 
 def write_episodes(path: Path, episodes: Sequence[Episode]) -> None:
     """Write a file of episodes, whole or not at all."""
-    with whole_file(path) as file:
+    with atomic_write(path) as file:
         file.write(FILE_MAGIC + COUNT.pack(len(episodes)))
         for number, episode in enumerate(episodes):
             message = encode_episode(episode, stamp=Stamp(run="", actor="", incarnation=0, sequence=number))

@@ -19,19 +19,22 @@ from giirl_core.types import Weights
 from gridcraft.instructions import Pair, plain_sentence, sentences
 from gridcraft.world import HORIZON, World
 from learner.grid.goal_features import BagOfWords
-from learner.grid.nets import PotentialNet, QNet, RewardNet, Sight, one_hot
-from learner.grid.steps import NOTHING, GridDemos, Index, Steps, chance_steps, expert_steps
+from learner.grid.nets import GridFeatures, PotentialNet, QNet, RewardNet, one_hot
+from learner.grid.steps import EXPERT_TEMPERATURE, NOTHING, GridDemos, Index, Steps, expert_steps, random_steps
 from learner.losses import gradient_penalty, logistic_loss
 from learner.schedules import anneal, anneal_reward
 
 EXPERT = "expert"
-Ask = Callable[[Steps], Tensor]
+TARGET_RATE = 0.05  # how fast the net that acts and sets targets follows Q
+RewardFn = Callable[[Steps], Tensor]
 
 
 class GridDiscriminator:
     """Binary logistic regression of the expert's steps from the sources of negatives that the config weighs."""
 
-    def __init__(self, config: Config, sight: Sight, demos: GridDemos, chance: Steps, rng: np.random.Generator) -> None:
+    def __init__(
+        self, config: Config, sight: GridFeatures, demos: GridDemos, chance: Steps, rng: np.random.Generator
+    ) -> None:
         self.config: DiscriminatorConfig = config.discriminator
         self._gamma = config.policy.gamma
         self._sight, self._demos, self._chance, self._rng = sight, demos, chance, rng
@@ -40,7 +43,6 @@ class GridDiscriminator:
         self.optimiser = torch.optim.AdamW(
             [*self.net.parameters(), *self.potential.parameters()],
             lr=self.config.learning_rate,
-            weight_decay=self.config.weight_decay,
             fused=True,
         )
         self.old = NOTHING
@@ -59,10 +61,10 @@ class GridDiscriminator:
 
     def rewards(self, rollouts: Steps, version: int) -> Tensor:
         """r(s_t, a_t | g) [N] of every step; always of the reward just learned, whatever its `version`."""
-        return self.ask(rollouts)
+        return self.reward_fn(rollouts)
 
     @torch.no_grad()
-    def ask(self, steps: Steps) -> Tensor:
+    def reward_fn(self, steps: Steps) -> Tensor:
         """r(s, a | g) [N]; of the AIRL form, the part of its logit that is no shaping."""
         logit = self.net(self._sight(steps.state, steps.goal), one_hot(steps.action))
         return reward_of(logit, self.config.reward, self.config.clip)
@@ -74,8 +76,11 @@ class GridDiscriminator:
             EXPERT: (1.0, shown),
             "rollouts": (config.rollouts, new),
             "replay": (config.replay, self.old.draw(config.batch, rng) if config.replay else NOTHING),
-            "demo_states": (config.demo_states, self._act(shown, policy) if config.demo_states else NOTHING),
-            "chance": (config.chance, self._chance.draw(config.batch, rng)),
+            "policy_on_expert_states": (
+                config.policy_on_expert_states,
+                self._act(shown, policy) if config.policy_on_expert_states else NOTHING,
+            ),
+            "random_actions": (config.random_actions, self._chance.draw(config.batch, rng)),
             "wrong_goal": (config.wrong_goal, self._demos.wrong_goals(shown) if config.wrong_goal else NOTHING),
         }
         return {name: (weight, steps) for name, (weight, steps) in sources.items() if weight and len(steps)}
@@ -107,10 +112,10 @@ class GridDiscriminator:
 
     def _see(self, steps: Steps) -> Tensor:
         """[N, F + V], a share of `rename` with the names of the colours swapped, in sight and sentence alike."""
-        if not self.config.rename:
+        if not self.config.rename_prob:
             return self._sight(steps.state, steps.goal)
         states, goals = self._sight.renamings
-        swapped = self._rng.random(len(steps)) < self.config.rename
+        swapped = self._rng.random(len(steps)) < self.config.rename_prob
         names = torch.from_numpy(np.where(swapped, self._rng.integers(len(states), size=len(steps)), 0))
         state, goal = torch.from_numpy(steps.state), torch.from_numpy(steps.goal)
         return torch.cat([states[names, state], goals[names, goal]], dim=1)
@@ -132,7 +137,9 @@ class GridSoftQ:
     `net`, the moving average of `q`, is the target net, and the policy that acts: it does not follow every gradient.
     """
 
-    def __init__(self, config: Config, sight: Sight, goals: Index, chance: Steps, rng: np.random.Generator) -> None:
+    def __init__(
+        self, config: Config, sight: GridFeatures, goals: Index, chance: Steps, rng: np.random.Generator
+    ) -> None:
         self.config, self._grid, self._sight, self._rng = config.policy, config.grid, sight, rng
         self._goals = goals  # [G] the sentences that training may see
         self.scale = config.discriminator.clip
@@ -142,7 +149,7 @@ class GridSoftQ:
         self.optimiser = torch.optim.Adam(self.q.parameters(), lr=self.config.learning_rate, fused=True)
         self._chance, self.old = chance, NOTHING
 
-    def update(self, rollouts: Steps, rewards: Tensor, ask: Ask) -> dict[str, float]:
+    def update(self, rollouts: Steps, rewards: Tensor, reward_fn: RewardFn) -> dict[str, float]:
         """Steps of gradient descent on the soft Bellman error, on steps old and new.
 
         Each is learned from under any of the sentences, whichever it was played under (hindsight relabelling,
@@ -152,7 +159,7 @@ class GridSoftQ:
         self.old = Steps.join([self.old, rollouts])
         drawn = Steps.join([self.old.draw(updates * batch // 2, rng), self._chance.draw(updates * batch // 2, rng)])
         drawn = drawn.pick(rng.permutation(len(drawn))).under(rng.choice(self._goals, size=len(drawn)))
-        told = ask(drawn) / self.scale
+        told = reward_fn(drawn) / self.scale
         wide = self._sight.wide
         seen, after = wide(drawn.state, drawn.goal), wide(drawn.following, drawn.goal)
         action = torch.from_numpy(drawn.action)[:, None]
@@ -166,7 +173,7 @@ class GridSoftQ:
             loss.backward()
             self.optimiser.step()
             with torch.no_grad():
-                torch._foreach_lerp_(list(self.net.parameters()), list(self.q.parameters()), self._grid.target_rate)
+                torch._foreach_lerp_(list(self.net.parameters()), list(self.q.parameters()), TARGET_RATE)
             losses.append(loss.item())
         return {"p_loss": float(np.mean(losses)), "p_reward": rewards.mean().item()}
 
@@ -183,7 +190,7 @@ def soft_target(reward: Tensor, q: Tensor, gamma: float, temperature: float) -> 
 class GridCloner:
     """Behavioural cloning with a net of the same shape as Q's."""
 
-    def __init__(self, config: Config, sight: Sight) -> None:
+    def __init__(self, config: Config, sight: GridFeatures) -> None:
         self._sight = sight
         self.net = QNet(sight.far_width, 2 * config.net.width, 1.0, 1.0)
         self.optimiser = torch.optim.Adam(self.net.parameters(), lr=config.cloning.learning_rate)
@@ -213,18 +220,18 @@ class GridLearner:
         self.meaning: Index = np.repeat(np.arange(len(pairs)), [len(some) for some in said])  # [G] which of the pairs
         self.goals: Index = np.arange(len(texts))
         self.bag = BagOfWords(texts, grid.order)
-        self.sight = Sight(world, texts, self.bag, grid)
+        self.sight = GridFeatures(world, texts, self.bag, grid)
         end = self.sight.end if grid.absorbing else None
         numbers = [np.flatnonzero(self.meaning == i).tolist() for i in range(len(pairs))]
-        shown = expert_steps(world, pairs, numbers, grid.demonstrations, grid.expert_temperature, self.rng, end)
-        chance = chance_steps(world, self.goals.tolist(), grid.chance_episodes, self.rng, end)
-        self.chance_env_steps = grid.chance_episodes * HORIZON
+        shown = expert_steps(world, pairs, numbers, grid.demonstrations, EXPERT_TEMPERATURE, self.rng, end)
+        chance = random_steps(world, self.goals.tolist(), grid.random_episodes, self.rng, end)
+        self.chance_env_steps = grid.random_episodes * HORIZON
         self.demos = GridDemos(shown, HORIZON + (end is not None), self.meaning, self.goals, self.rng)
         self.discriminator = GridDiscriminator(config, self.sight, self.demos, chance, self.rng)
         self.policy = GridSoftQ(config, self.sight, self.goals, chance, self.rng)
         self.cloner = GridCloner(config, self.sight)
 
-    def study(self, episodes: Steps) -> Steps:
+    def featurise(self, episodes: Steps) -> Steps:
         """Steps are what the nets see already."""
         return episodes
 
@@ -256,7 +263,7 @@ class GridLearner:
             (folder / f"{name}_optimiser.safetensors").write_bytes(seal_optimiser(part.optimiser))
         (folder / "reward_replay.safetensors").write_bytes(self.discriminator.old.seal())
         (folder / "policy_replay.safetensors").write_bytes(self.policy.old.seal())
-        state = {"version": self.version, "accuracy": self.discriminator.accuracy, "draw": self.rng.bit_generator.state}
+        state = {"version": self.version, "accuracy": self.discriminator.accuracy, "rng": self.rng.bit_generator.state}
         (folder / "learner.json").write_text(json.dumps(state, indent=2))
 
     def load(self, folder: Path) -> None:
@@ -268,7 +275,7 @@ class GridLearner:
             load_optimiser(part.optimiser, (folder / f"{name}_optimiser.safetensors").read_bytes())
         self.discriminator.old = Steps.unseal((folder / "reward_replay.safetensors").read_bytes())
         self.policy.old = Steps.unseal((folder / "policy_replay.safetensors").read_bytes())
-        self.rng.bit_generator.state = state["draw"]
+        self.rng.bit_generator.state = state["rng"]
         self.version, self.discriminator.accuracy = state["version"], state["accuracy"]
 
     def _saved_nets(self) -> dict[str, nn.Module]:

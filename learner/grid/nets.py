@@ -23,14 +23,14 @@ from learner.grid.goal_features import BagOfWords
 STAY = ACTIONS.index("stay")
 
 
-class Sight:
+class GridFeatures:
     """States and sentences of a world as the nets get them. State S, the last, is where absorbing episodes end."""
 
     def __init__(self, world: World, sentences: Sequence[str], bag: BagOfWords, grid: GridConfig) -> None:
         self._world, self._sentences, self._bag, self._grid = world, sentences, bag, grid
         self.states = torch.tensor(self._states(world))  # [S + 1, F]
         self.far = self.states  # [S + 1, F'] what a policy sees: it must also know where things are
-        if grid.whole_map:
+        if grid.full_map:
             self.far = torch.cat([self.states, torch.tensor(np.pad(_maps(world), ((0, 1), (0, 0))))], dim=1)
         self.goals = self._goals(sentences)  # [G, V]
         self.end = len(world)
@@ -79,7 +79,7 @@ def _maps(world: World) -> NDArray[np.float32]:
     """[S, H * W * 5 + H + W] the layout of each state, cell by cell as a colour or a wall, then its row and column."""
     shapes = {layout.cells.shape for layout in world.layouts}
     if len(shapes) > 1:
-        raise ValueError(f"grid.whole_map got layouts of the sizes {sorted(shapes)}, wanted one size for all")
+        raise ValueError(f"grid.full_map got layouts of the sizes {sorted(shapes)}, wanted one size for all")
     cells = np.stack([layout.cells for layout in world.layouts])
     planes = cells[..., None] == np.array([WALL, *range(1, len(COLOURS) + 1)])
     maps = planes.reshape(len(cells), -1)[world.layout]
@@ -143,7 +143,7 @@ def one_hot(action: NDArray[np.int64]) -> Tensor:
 
 
 @torch.no_grad()
-def reward_table(net: RewardNet, sight: Sight, goal: int, form: str, clip: float) -> NDArray[np.float64]:
+def reward_table(net: RewardNet, sight: GridFeatures, goal: int, form: str, clip: float) -> NDArray[np.float64]:
     """[S, A] the reward of every state and action under one sentence."""
     states = np.arange(sight.end)
     seen = sight(states, np.full(sight.end, goal))
@@ -153,7 +153,7 @@ def reward_table(net: RewardNet, sight: Sight, goal: int, form: str, clip: float
 
 
 @torch.no_grad()
-def policy_table(net: QNet, sight: Sight, goal: int) -> NDArray[np.float64]:
+def policy_table(net: QNet, sight: GridFeatures, goal: int) -> NDArray[np.float64]:
     """[S, A] the probabilities of every action in every state under one sentence."""
     logp = net.log_policy(sight.wide(np.arange(sight.end), np.full(sight.end, goal))).double()
     table: NDArray[np.float64] = torch.softmax(logp, dim=1).numpy()  # in doubles, so that rows add up to 1

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gridcraft.instructions import Pair
 from gridcraft.planning import Paths, draw_paths, random_policy, solve
 from gridcraft.world import HORIZON, World, draw_starts, step, true_reward
-from learner.grid.nets import STAY, QNet, Sight
+from learner.grid.nets import STAY, GridFeatures, QNet
 
 Index = NDArray[np.int64]
 
@@ -83,6 +83,7 @@ class Steps:
         return cls(**safetensors.numpy.load(blob))
 
 
+EXPERT_TEMPERATURE = 0.1  # of the soft-optimal expert that demonstrates
 COLUMNS = tuple(field.name for field in fields(Steps))
 NOTHING = Steps(**{name: np.zeros(0, dtype=np.int64) for name in COLUMNS})
 
@@ -111,7 +112,7 @@ def expert_steps(
     return Steps.join(parts)
 
 
-def chance_steps(world: World, goals: Sequence[int], count: int, rng: np.random.Generator, end: int | None) -> Steps:
+def random_steps(world: World, goals: Sequence[int], count: int, rng: np.random.Generator, end: int | None) -> Steps:
     """`count` episodes of a policy that does anything, under any of the sentences."""
     paths = draw_paths(world, random_policy(world), draw_starts(world, count, rng), rng)
     return Steps.of(paths, rng.choice(np.array(goals), size=count), end)
@@ -149,7 +150,7 @@ class GridDemos:
 class GridSource:
     """Plays the policy under random sentences of those that training may see."""
 
-    def __init__(self, world: World, sight: Sight, goals: Index, net: QNet, rng: np.random.Generator) -> None:
+    def __init__(self, world: World, sight: GridFeatures, goals: Index, net: QNet, rng: np.random.Generator) -> None:
         self.world, self._sight, self._goals, self._net, self._rng = world, sight, goals, net, rng
         self._end = sight.end if sight.absorbing else None
         self.env_steps = 0

@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from giirl_core.wire.delivery import Before, Grant, Notice
-from learner.stream.snapshot import Mark
+from learner.stream.snapshot import ActorOffsets
 
 
 @dataclass(slots=True, kw_only=True)
-class Account:
+class ActorState:
     """One incarnation of one actor."""
 
     actor: str
     incarnation: int
-    floor: int = 0  # every sequence below has been judged
-    judged: set[int] = field(default_factory=set)  # and these above it
+    low_watermark: int = 0  # every sequence below has been judged
+    acked: set[int] = field(default_factory=set)  # and these above it
     committed: int = 0  # every sequence below is covered by a checkpoint
     settled: int = 0  # incarnations below are closed in a checkpoint
     finished: int = 0  # as far as is known
@@ -26,38 +26,38 @@ class Account:
     heard_s: float = 0.0
 
     @classmethod
-    def resume(cls, mark: Mark) -> Account:
+    def resume(cls, mark: ActorOffsets) -> ActorState:
         """As a checkpoint has it."""
         return cls(
             actor=mark.actor,
             incarnation=mark.incarnation,
-            floor=mark.floor,
-            judged=set(mark.judged),
-            committed=mark.floor,
+            low_watermark=mark.low_watermark,
+            acked=set(mark.acked),
+            committed=mark.low_watermark,
             settled=mark.incarnation,
             finished=mark.finished,
         )
 
-    def mark(self) -> Mark:
+    def mark(self) -> ActorOffsets:
         """As a checkpoint should have it."""
-        return Mark(
+        return ActorOffsets(
             actor=self.actor,
             incarnation=self.incarnation,
-            floor=self.floor,
-            judged=tuple(sorted(self.judged)),
+            low_watermark=self.low_watermark,
+            acked=tuple(sorted(self.acked)),
             finished=self.finished,
         )
 
     @property
     def done(self) -> int:
         """How many of its episodes are judged."""
-        return self.floor + len(self.judged)
+        return self.low_watermark + len(self.acked)
 
-    def has_judged(self, sequence: int) -> bool:
-        return sequence < self.floor or sequence in self.judged
+    def is_acked(self, sequence: int) -> bool:
+        return sequence < self.low_watermark or sequence in self.acked
 
-    def judge(self, sequence: int) -> None:
-        self.judged.add(sequence)
+    def ack(self, sequence: int) -> None:
+        self.acked.add(sequence)
         self.finished = max(self.finished, sequence + 1)
         self._rise()
 
@@ -69,10 +69,10 @@ class Account:
 
     def skip_to(self, sequence: int) -> int:
         """The actor keeps nothing below; returns how many of those never came."""
-        below = {judged for judged in self.judged if judged < sequence}
-        missing = max(0, sequence - self.floor) - len(below)
-        self.judged -= below
-        self.floor = max(self.floor, sequence)
+        below = {judged for judged in self.acked if judged < sequence}
+        missing = max(0, sequence - self.low_watermark) - len(below)
+        self.acked -= below
+        self.low_watermark = max(self.low_watermark, sequence)
         self._rise()
         return missing
 
@@ -85,7 +85,7 @@ class Account:
     @property
     def wants_commit(self) -> bool:
         """Whether a checkpoint would free an actor that waits for one."""
-        return self.full and self.peer is not None and self.floor > self.committed
+        return self.full and self.peer is not None and self.low_watermark > self.committed
 
     def limit(self, credits_: int) -> int:
         """It may send the sequences below."""
@@ -95,14 +95,14 @@ class Account:
         return Grant(
             incarnation=self.incarnation,
             notice=self.notice,
-            floor=self.floor,
-            judged=tuple(sorted(self.judged)),
+            low_watermark=self.low_watermark,
+            acked=tuple(sorted(self.acked)),
             committed=self.committed,
             settled=self.settled,
             limit=self.limit(credits_),
         )
 
     def _rise(self) -> None:
-        while self.floor in self.judged:
-            self.judged.remove(self.floor)
-            self.floor += 1
+        while self.low_watermark in self.acked:
+            self.acked.remove(self.low_watermark)
+            self.low_watermark += 1

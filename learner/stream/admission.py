@@ -20,8 +20,8 @@ from giirl_core.wire import delivery
 from giirl_core.wire import messages as wire
 from giirl_core.wire.columns import Columns
 from giirl_core.wire.messages import Header, Stamp, WireError
-from learner.stream.actor_state import Account
-from learner.stream.snapshot import Held
+from learner.stream.actor_state import ActorState
+from learner.stream.snapshot import IngestSnapshot
 
 LOG = logging.getLogger(__name__)
 TAKEN = "taken"
@@ -49,7 +49,7 @@ class _Queued:
     arrays: Columns
     episode: Episode | None = None
     version: int  # of its policy
-    owner: Account
+    owner: ActorState
     size: int
 
 
@@ -64,7 +64,7 @@ class Admission:
         reward_version: Callable[[], int] | None,
         limits: IngestLimits,
         metrics: Metrics,
-        held: Held,
+        held: IngestSnapshot,
         held_out: float = 0.0,
     ) -> None:
         self._run = run
@@ -77,7 +77,7 @@ class Admission:
         self._taken: list[Episode] = list(held.episodes)  # of a take that has not come to its end
         self._held_out = held_out
         self._untold: set[str] = set()  # actors whose grant has changed
-        self._actors = {mark.actor: Account.resume(mark) for mark in held.marks}
+        self._actors = {mark.actor: ActorState.resume(mark) for mark in held.marks}
         self._counts = Counter(held.counts)
 
     @property
@@ -89,7 +89,7 @@ class Admission:
         """Whether an actor can go on only after a checkpoint."""
         return any(actor.wants_commit for actor in self._actors.values())
 
-    def hear(self, peer: bytes, message: bytes) -> bytes | None:
+    def receive(self, peer: bytes, message: bytes) -> bytes | None:
         """Take in one message; returns what has to be answered at once."""
         try:
             header, arrays = wire.decode(message)
@@ -105,12 +105,12 @@ class Admission:
         if actor and stamp.incarnation < actor.incarnation:
             return self._refuse(header["kind"], delivery.FENCED, stamp)
         if notice and notice.kind == delivery.HELLO:
-            actor = self._greet(notice)
+            actor = self._register(notice)
             actor.peer = peer
         elif actor is None or stamp.incarnation > actor.incarnation or actor.peer != peer:
             return delivery.encode_who()
         elif notice is None:
-            self._judge(actor, stamp, header, arrays, len(message))
+            self._accept(actor, stamp, header, arrays, len(message))
         if notice:
             actor.note(notice)
         if notice and notice.kind == delivery.BYE:
@@ -158,7 +158,7 @@ class Admission:
             (actor.peer, delivery.encode_grant(actor.grant(self._credits))) for actor in told if actor.peer is not None
         ]
 
-    def snapshot(self) -> Held:
+    def snapshot(self) -> IngestSnapshot:
         """Everything accepted and not yet pulled, what has been judged, and what became of it."""
         version, kept = self._policy_version(), deque[_Queued]()
         for entry in self._queue:
@@ -167,33 +167,33 @@ class Admission:
             else:
                 self._release(entry)
         self._queue = kept
-        return Held(
+        return IngestSnapshot(
             episodes=(*self._taken, *(entry.episode for entry in kept if entry.episode is not None)),
             marks=tuple(actor.mark() for actor in self._actors.values()),
             counts=dict(self._counts),
         )
 
-    def commit(self, held: Held) -> None:
+    def commit(self, held: IngestSnapshot) -> None:
         """A checkpoint covers `held`: its actors may forget what it marks."""
         for mark in held.marks:
             actor = self._actors.get(mark.actor)
             if actor is None:
                 continue
             if actor.incarnation == mark.incarnation:
-                actor.committed = max(actor.committed, mark.floor)
+                actor.committed = max(actor.committed, mark.low_watermark)
             actor.settled = max(actor.settled, mark.incarnation)
             self._untold.add(mark.actor)
 
-    def bury(self, name: str, finished: delivery.Before) -> None:
+    def retire(self, name: str, finished: delivery.Before) -> None:
         """An actor has gone for good; its incarnations finished so much, by its own count. What never came is lost."""
-        actor = self._actors.get(name) or Account(actor=name, incarnation=-1)
+        actor = self._actors.get(name) or ActorState(actor=name, incarnation=-1)
         self._drop("lost", actor.succeeded_by(finished))
-        incarnation, count = max([(actor.incarnation, max(actor.finished, actor.floor)), *finished])
+        incarnation, count = max([(actor.incarnation, max(actor.finished, actor.low_watermark)), *finished])
         if incarnation >= 0:
-            gone = Account(actor=name, incarnation=incarnation, floor=count, finished=count, settled=actor.settled)
-            self._actors[name] = gone
+            self._actors[name] = gone = ActorState(actor=name, incarnation=incarnation, settled=actor.settled)
+            gone.low_watermark = gone.finished = count
 
-    def forgive(self, seconds: float) -> None:
+    def extend_deadlines(self, seconds: float) -> None:
         """Nobody could be heard for so long."""
         for actor in self._actors.values():
             actor.heard_s += seconds
@@ -203,7 +203,7 @@ class Admission:
         actor = self._actors.get(name)
         return time.monotonic() - actor.heard_s if actor and actor.peer is not None else float("inf")
 
-    def excuse(self) -> str:
+    def describe_shortage(self) -> str:
         """Who is to be asked why there are too few episodes."""
         heard = [f"{name} {self.silent_for_s(name):.1f} s ago" for name in sorted(self._actors)[:8]]
         return f"{self.queued} wait; of {len(self._actors)} actors heard: {', '.join(heard) or 'none'}"
@@ -212,24 +212,24 @@ class Admission:
     def _credits(self) -> int:
         return self._limits.credits if self._bytes < self._limits.max_bytes else 0
 
-    def _greet(self, notice: delivery.Notice) -> Account:
+    def _register(self, notice: delivery.Notice) -> ActorState:
         stamp = notice.stamp
         actor = self._actors.get(stamp.actor)
         if actor is None or actor.incarnation < stamp.incarnation:
-            before = actor or Account(actor=stamp.actor, incarnation=-1)
+            before = actor or ActorState(actor=stamp.actor, incarnation=-1)
             self._drop("lost", before.succeeded_by(notice.before))
-            actor = Account(actor=stamp.actor, incarnation=stamp.incarnation, settled=before.settled)
+            actor = ActorState(actor=stamp.actor, incarnation=stamp.incarnation, settled=before.settled)
             self._actors[stamp.actor] = actor
         self._drop("lost", actor.skip_to(stamp.sequence))
         return actor
 
-    def _judge(self, actor: Account, stamp: Stamp, header: Header, arrays: Columns, size: int) -> None:
-        if actor.has_judged(stamp.sequence):
+    def _accept(self, actor: ActorState, stamp: Stamp, header: Header, arrays: Columns, size: int) -> None:
+        if actor.is_acked(stamp.sequence):
             return self._refused("duplicate")
         if stamp.sequence >= actor.limit(self._credits):
             return self._refused("over_credit")  # not judged: it will come again
         self._metrics.trajectories_received.inc()
-        actor.judge(stamp.sequence)
+        actor.ack(stamp.sequence)
         if type(version := header.get("policy_version")) is not int or version <= DEMONSTRATION:
             return self._drop_invalid(stamp.actor, WireError(f"a rollout has policy version {version!r:.80}"))
         if self._is_stale(version, self._policy_version()):

@@ -11,7 +11,7 @@ from giirl_core.types import Episode
 from giirl_core.wire.delivery import Before
 from giirl_core.wire.transport import Keys, Router
 from learner.stream.admission import Admission, IngestLimits
-from learner.stream.snapshot import Held
+from learner.stream.snapshot import IngestSnapshot
 
 TICK_S = 0.1  # how soon the thread notices that it should stop
 DEAF_S = 5.0  # between two turns of a process that runs there is far less
@@ -32,7 +32,7 @@ class Ingest:
         limits: IngestLimits | None = None,
         keys: Keys | None = None,
         metrics: Metrics | None = None,
-        held: Held | None = None,
+        held: IngestSnapshot | None = None,
         held_out: float = 0.0,
     ) -> None:
         self._metrics = metrics or Metrics()
@@ -42,7 +42,7 @@ class Ingest:
             reward_version=reward_version,
             limits=limits or IngestLimits(),
             metrics=self._metrics,
-            held=held or Held(),
+            held=held or IngestSnapshot(),
             held_out=held_out,
         )
         self._refusals = 0
@@ -68,15 +68,17 @@ class Ingest:
                     raise RuntimeError(f"the ingest thread ended: {self._broken!r}") from self._broken
                 left_s = deadline_s - time.monotonic()
                 if left_s <= 0:
-                    raise TimeoutError(f"no {episodes} episodes within {timeout_s} s: {self._books.excuse()}")
+                    raise TimeoutError(
+                        f"no {episodes} episodes within {timeout_s} s: {self._books.describe_shortage()}"
+                    )
                 self._lock.wait(left_s)
 
-    def snapshot(self) -> Held:
+    def snapshot(self) -> IngestSnapshot:
         """Everything accepted and not yet taken, and what has been judged, at one moment."""
         with self._lock:
             return self._books.snapshot()
 
-    def committed(self, held: Held) -> None:
+    def committed(self, held: IngestSnapshot) -> None:
         """A checkpoint with this snapshot is on the disk: actors may forget what it covers.
 
         Never a later snapshot: what arrived while the checkpoint was written is not in it.
@@ -91,10 +93,10 @@ class Ingest:
         with self._lock:
             return self._books.wants_commit
 
-    def bury(self, actor: str, finished: Before) -> None:
+    def retire(self, actor: str, finished: Before) -> None:
         """An actor has gone for good. What it finished, by its own count, and did not deliver is lost."""
         with self._lock:
-            self._books.bury(actor, finished)
+            self._books.retire(actor, finished)
 
     def silent_for_s(self, actor: str) -> float:
         """How long ago an actor was last heard; infinite when it never was."""
@@ -130,7 +132,7 @@ class Ingest:
         deaf_s, self._listened_s = time.monotonic() - self._listened_s, time.monotonic()
         if deaf_s > DEAF_S:  # this whole process was stopped: nobody else has been silent
             with self._lock:
-                self._books.forgive(deaf_s)
+                self._books.extend_deadlines(deaf_s)
         timeout_s = TICK_S
         for _ in range(MAX_BURST):
             received = self._router.recv(timeout_s)
@@ -139,7 +141,7 @@ class Ingest:
             timeout_s = 0.0
             peer, message = received
             with self._lock:
-                answer = self._books.hear(peer, message)
+                answer = self._books.receive(peer, message)
                 self._lock.notify_all()
             if answer is not None:
                 self._router.send(peer, answer)  # a peer that is gone needs no answer

@@ -18,19 +18,19 @@ STRICT = ConfigDict(extra="forbid", strict=True)
 
 
 @checked(config=STRICT, frozen=True, slots=True, kw_only=True)
-class Mark:
+class ActorOffsets:
     """Which episodes of an actor have been judged: what a checkpoint remembers of it."""
 
     actor: str
     incarnation: NonNegativeInt
-    floor: NonNegativeInt  # every sequence below
-    judged: tuple[NonNegativeInt, ...] = ()  # and these above it
+    low_watermark: NonNegativeInt  # every sequence below
+    acked: tuple[NonNegativeInt, ...] = ()  # and these above it
     finished: NonNegativeInt = 0  # by the actor, as far as was known
 
 
 @checked(config=STRICT, frozen=True, slots=True, kw_only=True)
 class _Books:
-    marks: tuple[Mark, ...]
+    marks: tuple[ActorOffsets, ...]
     counts: dict[str, NonNegativeInt]
 
 
@@ -38,11 +38,11 @@ _BOOKS = TypeAdapter(_Books)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Held:
+class IngestSnapshot:
     """What a checkpoint has to hold of the ingest: episodes accepted and not yet used, all marks and counts."""
 
     episodes: tuple[Episode, ...] = ()
-    marks: tuple[Mark, ...] = ()
+    marks: tuple[ActorOffsets, ...] = ()
     counts: Mapping[str, int] = field(default_factory=dict)  # what became of how many in this history
 
     def save(self, folder: Path) -> None:
@@ -51,7 +51,7 @@ class Held:
         (folder / BOOKS).write_text(json.dumps(books))
 
     @classmethod
-    def load(cls, folder: Path) -> Held:
+    def load(cls, folder: Path) -> IngestSnapshot:
         """The inverse of `save`; ValueError where the files are none of ours."""
         try:
             books = _BOOKS.validate_json((folder / BOOKS).read_bytes())

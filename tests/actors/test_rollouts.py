@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from prometheus_client import generate_latest
 
-from actors.agents import Choice, Chooser, ExpertChooser, NetChooser, RandomChooser
+from actors.agents import Agent, Decision, ExpertAgent, PolicyAgent, RandomAgent
 from actors.rollouts import Schedule, play
 from browser_farm.experts import expert
 from browser_farm.fake import TASKS, FakeFarm, check_task
@@ -48,7 +48,7 @@ EMPTY = Page(
 
 
 def episodes(
-    browser: Browser, chooser: Chooser, quota: int, *, tasks: Sequence[str] = ALL, limit: int = 5, first: int = 0
+    browser: Browser, chooser: Agent, quota: int, *, tasks: Sequence[str] = ALL, limit: int = 5, first: int = 0
 ) -> list[Episode]:
     """Played to the end, in order of task and seed."""
     schedule = Schedule(tasks, browser.tabs, purpose=Purpose.TRAIN, run_seed=3, quota=quota, first=first)
@@ -100,9 +100,9 @@ class Blank(FakeFarm):
 class Stubborn:
     """Clicks the first leaf for ever."""
 
-    def __call__(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Choice]:
+    def __call__(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]:
         first = [int(np.flatnonzero(seen.page.leaf)[0]) for seen in observations]
-        return [Choice(Action(verb=Verb.CLICK, element=element), -0.25, 4) for element in first]
+        return [Decision(Action(verb=Verb.CLICK, element=element), -0.25, 4) for element in first]
 
 
 def story(episode: Episode) -> tuple[object, ...]:
@@ -113,8 +113,8 @@ def story(episode: Episode) -> tuple[object, ...]:
 
 @pytest.mark.parametrize("tabs", [2, 3, 8])
 def test_the_seeds_decide_every_episode_whatever_the_number_of_tabs(tabs: int) -> None:
-    one = episodes(FakeFarm(tabs=1), NetChooser(policy(), vectors()), 6)
-    more = episodes(FakeFarm(tabs=tabs), NetChooser(policy(), vectors()), 6)
+    one = episodes(FakeFarm(tabs=1), PolicyAgent(policy(), vectors()), 6)
+    more = episodes(FakeFarm(tabs=tabs), PolicyAgent(policy(), vectors()), 6)
     assert len(one) == 6 * len(ALL)
     assert [story(episode) for episode in more] == [story(episode) for episode in one]
     for a, b in zip(one, more, strict=True):
@@ -122,8 +122,8 @@ def test_the_seeds_decide_every_episode_whatever_the_number_of_tabs(tabs: int) -
 
 
 def test_other_episodes_come_when_the_count_goes_on() -> None:
-    early = episodes(FakeFarm(tabs=4), RandomChooser(), 3)
-    late = episodes(FakeFarm(tabs=4), RandomChooser(), 3, first=3)
+    early = episodes(FakeFarm(tabs=4), RandomAgent(), 3)
+    late = episodes(FakeFarm(tabs=4), RandomAgent(), 3, first=3)
     wanted = {page_seed(Purpose.TRAIN, 3, i) for i in range(6)}
     for task in ALL:
         seeds = [e.trajectory.seed for e in early + late if e.trajectory.task == task]
@@ -149,7 +149,7 @@ def test_a_page_that_ends_within_the_limit_has_no_step_more() -> None:
 @pytest.mark.parametrize("tabs", [1, 3, 8])
 def test_lost_episodes_are_played_again_and_leave_no_other_trace(tabs: int) -> None:
     browser = Losing(tabs=tabs, times=2)
-    chooser = ExpertChooser(expert)
+    chooser = ExpertAgent(expert)
     got = [story(episode) for episode in episodes(browser, chooser, 4)]
     assert browser.left == 0
     assert got == [story(episode) for episode in episodes(FakeFarm(tabs=tabs), chooser, 4)]
@@ -164,7 +164,7 @@ def test_a_page_with_nothing_to_act_on_ends_its_episode_with_what_was_done_befor
 def test_lost_episodes_are_counted_as_such() -> None:
     metrics = Metrics()
     schedule = Schedule(("click-test",), 2, purpose=Purpose.TRAIN, run_seed=0, quota=6)
-    rounds = play(Losing(tabs=2, times=2), ExpertChooser(expert), schedule, step_limit=5, metrics=metrics)
+    rounds = play(Losing(tabs=2, times=2), ExpertAgent(expert), schedule, step_limit=5, metrics=metrics)
     assert sum(map(len, rounds)) == 6
     exposed = generate_latest(metrics.registry).decode()
     assert 'giirl_episodes_total{outcome="lost",task="click-test"} 2.0' in exposed
@@ -181,14 +181,14 @@ def test_an_episode_that_is_always_lost_is_given_up_and_the_others_are_played() 
             return {tab: replace(r, lost="page_hung") if tab in ending else r for tab, r in results.items()}
 
     schedule = Schedule(("click-test",), 2, purpose=Purpose.TRAIN, run_seed=0, quota=6)
-    rounds = play(Cursed(tabs=2), ExpertChooser(expert), schedule, step_limit=5, metrics=Metrics())
+    rounds = play(Cursed(tabs=2), ExpertAgent(expert), schedule, step_limit=5, metrics=Metrics())
     played = [episode.trajectory.seed for some in rounds for episode in some]
     assert sorted(played) == [page_seed(Purpose.TRAIN, 0, i) for i in (0, 1, 3, 4, 5)]
 
 
 @pytest.mark.parametrize("tabs", [1, 2, 3, 5, 9])
 def test_a_quota_is_kept_by_every_task_on_any_number_of_tabs(tabs: int) -> None:
-    played = episodes(FakeFarm(tabs=tabs), RandomChooser(), 7)
+    played = episodes(FakeFarm(tabs=tabs), RandomAgent(), 7)
     assert Counter(episode.trajectory.task for episode in played) == dict.fromkeys(ALL, 7)
     assert len({(episode.trajectory.task, episode.trajectory.seed) for episode in played}) == 28
 
@@ -212,7 +212,7 @@ def test_an_episode_given_back_goes_to_a_tab_of_its_task_alone() -> None:
 
 
 def test_experts_always_succeed() -> None:
-    played = episodes(FakeFarm(tabs=4), ExpertChooser(expert), 40)
+    played = episodes(FakeFarm(tabs=4), ExpertAgent(expert), 40)
     assert all(episode.outcome.success for episode in played)
     assert {episode.trajectory.policy_version for episode in played} == {-1}
 
@@ -221,7 +221,7 @@ def test_chance_chooses_every_legal_action_as_often_as_it_says() -> None:
     goal = Goal("Type ok.")
     seen = Observation(episode=EpisodeSpec(task="t", seed=0), page=SHORT, goal=goal)
     uniform = np.random.default_rng(0).random((8000, 3), dtype=np.float32)
-    chosen = RandomChooser()([seen] * 8000, uniform)
+    chosen = RandomAgent()([seen] * 8000, uniform)
     counts = Counter(choice.action for choice in chosen)
     told = {choice.action: np.exp(choice.logp) for choice in chosen}
     assert set(counts) == set(legal_actions(SHORT, goal))
@@ -230,23 +230,23 @@ def test_chance_chooses_every_legal_action_as_often_as_it_says() -> None:
         assert counts[action] / 8000 == pytest.approx(p, abs=0.02)
 
 
-@pytest.mark.parametrize("draw", [0.0, 1.0 - 2.0**-24])
-def test_chance_is_legal_at_both_ends_of_its_draws(draw: float) -> None:
+@pytest.mark.parametrize("uniform", [0.0, 1.0 - 2.0**-24])
+def test_chance_is_legal_at_both_ends_of_its_draws(uniform: float) -> None:
     goal = Goal("Type ok.")
     seen = Observation(episode=EpisodeSpec(task="t", seed=0), page=SHORT, goal=goal)
-    (choice,) = RandomChooser()([seen], np.full((1, 3), draw, dtype=np.float32))
+    (choice,) = RandomAgent()([seen], np.full((1, 3), uniform, dtype=np.float32))
     assert choice.action in legal_actions(SHORT, goal)
 
 
 def test_a_greedy_policy_does_not_depend_on_chance() -> None:
-    greedy = NetChooser(policy(), vectors(), greedy=True)
+    greedy = PolicyAgent(policy(), vectors(), greedy=True)
     seen = list(FakeFarm(tabs=1).reset({0: EpisodeSpec(task="click-button", seed=1)}).values())
-    one, two = (greedy(seen, np.full((1, 3), draw, dtype=np.float32)) for draw in (0.01, 0.99))
+    one, two = (greedy(seen, np.full((1, 3), uniform, dtype=np.float32)) for uniform in (0.01, 0.99))
     assert one == two
 
 
 def test_a_chooser_refuses_older_weights_and_says_which_version_chose() -> None:
-    chooser = NetChooser(policy(), vectors())
+    chooser = PolicyAgent(policy(), vectors())
     chooser.load(seal_net(policy(1), 5))
     with pytest.raises(ValueError, match="version 4 is older than 5"):
         chooser.load(seal_net(policy(2), 4))

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from actors.agents import NetChooser
+from actors.agents import PolicyAgent
 from actors.uplink import Refused
 from actors.worker import Worker, WorkerLimits
 from giirl_core.metrics import Metrics
@@ -56,7 +56,7 @@ def worker(scorer: Scorer, uplink: Uplink, schedule: Any, metrics: Metrics) -> W
     browser: Any = None
     stand_ins: Any = (scorer, uplink)
     limits = WorkerLimits(step_limit=3, flush_s=0.05)
-    return Worker(browser, NetChooser(policy(), vectors()), schedule, *stand_ins, limits=limits, metrics=metrics)
+    return Worker(browser, PolicyAgent(policy(), vectors()), schedule, *stand_ins, limits=limits, metrics=metrics)
 
 
 def nothing_to_play(trouble: Exception) -> Any:

@@ -12,9 +12,9 @@ from miniwob.action import ActionSpaceConfig, ActionTypes
 from miniwob.observation import create_observation
 
 from benchmarks.gym_equality import differences
-from browser_farm.gym.adapter import Package, chord_of, root_dom
+from browser_farm.gym.adapter import MiniWoBAdapter, chord_of, root_dom
 from browser_farm.gym.elements import Elements, decode_elements, rgba
-from browser_farm.gym.slot import Conduct
+from browser_farm.gym.slot import ResetOptions
 from giirl_core.types import Command, Verb
 
 FIELDS = [("target", "Ada"), ("place", "top")]
@@ -45,7 +45,7 @@ def page() -> Elements:
 def command(
     kind: str, fields: list[tuple[str, str]] | None = None, preset: str = "all_supported", **values: Any
 ) -> Command:
-    package = Package.of("enter-text", preset)
+    package = MiniWoBAdapter.of("enter-text", preset)
     action = package.create_action(package.action_space, kind, values)
     return package.command(action, page(), FIELDS if fields is None else fields)
 
@@ -108,23 +108,25 @@ def test_keys_are_pressed_by_the_names_that_pages_use(name: str, wanted: str) ->
 
 def test_every_key_of_the_presets_has_a_name() -> None:
     for preset in ("all_supported", "shi17", "liu18", "humphreys22", "all_supported_mac_os"):
-        Package.of("click-test", preset)
+        MiniWoBAdapter.of("click-test", preset)
 
 
 @pytest.mark.parametrize(
     ("said", "what"),
     [
-        ("there is no MiniWoB task 'clik-test'", lambda: Package.of("clik-test")),
-        ("Unknown preset", lambda: Package.of("click-test", "all")),
+        ("there is no MiniWoB task 'clik-test'", lambda: MiniWoBAdapter.of("clik-test")),
+        ("Unknown preset", lambda: MiniWoBAdapter.of("click-test", "all")),
         (
             "the key '<Help>' has no meaning",
-            lambda: Package.of("click-test", ActionSpaceConfig([ActionTypes.PRESS_KEY], allowed_keys=["<Help>"])),
+            lambda: MiniWoBAdapter.of(
+                "click-test", ActionSpaceConfig([ActionTypes.PRESS_KEY], allowed_keys=["<Help>"])
+            ),
         ),
-        ("no action of enter-text", lambda: Package.of("enter-text").command({"action_type": 99}, page(), [])),
-        ("no action of enter-text", lambda: Package.of("enter-text").command({"action_type": 8}, page(), [])),
-        ("no action of enter-text", lambda: Package.of("enter-text").command(7, page(), [])),  # type: ignore[arg-type]
-        ("data_mode is 'exam'", lambda: Conduct(data_mode="exam")),
-        ("reset got option 'speed'", lambda: Conduct().heeding({"speed": 1})),
+        ("no action of enter-text", lambda: MiniWoBAdapter.of("enter-text").command({"action_type": 99}, page(), [])),
+        ("no action of enter-text", lambda: MiniWoBAdapter.of("enter-text").command({"action_type": 8}, page(), [])),
+        ("no action of enter-text", lambda: MiniWoBAdapter.of("enter-text").command(7, page(), [])),  # type: ignore[arg-type]
+        ("data_mode is 'exam'", lambda: ResetOptions(data_mode="exam")),
+        ("reset got option 'speed'", lambda: ResetOptions().updated({"speed": 1})),
     ],
 )
 def test_what_the_package_does_not_know_is_refused_in_one_line(said: str, what: Any) -> None:
@@ -134,7 +136,7 @@ def test_what_the_package_does_not_know_is_refused_in_one_line(said: str, what: 
 
 
 def test_table_and_tree_of_a_page_say_the_same() -> None:
-    package = Package.of("enter-text")
+    package = MiniWoBAdapter.of("enter-text")
     observed = package.observe(page(), FIELDS, None)
     wanted = create_observation("Press it.", root_dom(page()), observed["screenshot"], FIELDS)
     assert list(differences(observed, wanted)) == []
@@ -143,7 +145,7 @@ def test_table_and_tree_of_a_page_say_the_same() -> None:
 
 def test_nothing_in_an_observation_belongs_to_another() -> None:
     seen = page()
-    first, second = (Package.of("enter-text").observe(seen, FIELDS, None) for _ in range(2))
+    first, second = (MiniWoBAdapter.of("enter-text").observe(seen, FIELDS, None) for _ in range(2))
     first["dom_elements"][1]["left"][0] = first["dom_elements"][1]["flags"][0] = 9
     assert second["dom_elements"][1]["left"][0] != 9
     assert second["dom_elements"][1]["flags"][0] != 9

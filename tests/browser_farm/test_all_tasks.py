@@ -33,19 +33,19 @@ def test_every_registered_task_is_reached_by_name_and_by_family() -> None:
         tasks("flite")
 
 
-def some_action(shown: Observation, draw: np.random.Generator) -> Action:
+def some_action(shown: Observation, rng: np.random.Generator) -> Action:
     """Any verb on any row."""
-    row = int(draw.integers(len(shown.page)))
-    by = (float(draw.integers(-60, 60)), float(draw.integers(-60, 60)))
+    row = int(rng.integers(len(shown.page)))
+    by = (float(rng.integers(-60, 60)), float(rng.integers(-60, 60)))
     return (
         Action(verb=Verb.CLICK, element=row),
         Action(verb=Verb.TYPE, element=row, literal="Ada 7"),
         Action(verb=Verb.DRAG, element=row, by=by),
         Action(verb=Verb.HOVER, element=row),
         Action(verb=Verb.SCROLL, element=row, by=by),
-        Action(verb=Verb.PRESS, literal=str(draw.choice(["Enter", "a", "ArrowDown", "Tab", "Control+a"]))),
+        Action(verb=Verb.PRESS, literal=str(rng.choice(["Enter", "a", "ArrowDown", "Tab", "Control+a"]))),
         Action(verb=Verb.DOUBLE_CLICK, element=row),
-    )[int(draw.integers(7))]
+    )[int(rng.integers(7))]
 
 
 @pytest.fixture(scope="module")
@@ -54,14 +54,14 @@ def chrome() -> Iterator[ChromeFarm]:
         yield farm
 
 
-def disturb(chrome: ChromeFarm, names: list[str], draw: np.random.Generator) -> None:
+def disturb(chrome: ChromeFarm, names: list[str], rng: np.random.Generator) -> None:
     """Play anything, through ends of episodes and on to others."""
     shown = chrome.reset({tab: EpisodeSpec(task=name, seed=100 + tab) for tab, name in enumerate(names)})
     for step in range(8):
         commands = {}
         for tab, observation in shown.items():
-            following = EpisodeSpec(task=names[tab], seed=int(draw.integers(1 << 20)))
-            action = some_action(observation, draw)
+            following = EpisodeSpec(task=names[tab], seed=int(rng.integers(1 << 20)))
+            action = some_action(observation, rng)
             commands[tab] = Command.of(action, observation, last=step % 4 == 3, following=following)
         for tab, result in chrome.step(commands).items():
             assert (result.lost, names[tab]) == ("", names[tab])

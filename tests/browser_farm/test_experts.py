@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from actors.agents import ExpertChooser
+from actors.agents import ExpertAgent
 from actors.rollouts import Schedule, play
-from browser_farm.experts import EXPERTS, Stuck, expert
+from browser_farm.experts import EXPERTS, NoAction, expert
 from browser_farm.experts.games import play_for_the_win
-from browser_farm.experts.page_view import Sight, plays
+from browser_farm.experts.page_view import PageView, expert_for
 from browser_farm.farm import ChromeFarm
 from browser_farm.tasks import tasks
 from giirl.run.experts import GOOD
@@ -51,32 +51,32 @@ def test_every_expert_plays_a_task_that_exists() -> None:
 
 def test_two_experts_for_one_task_are_refused() -> None:
     with pytest.raises(AssertionError, match="two experts for click-test"):
-        plays("click-test")(lambda see: see.click(0))
+        expert_for("click-test")(lambda see: see.click(0))
 
 
 def test_an_expert_that_finds_nothing_to_do_is_stuck_and_the_chooser_waits() -> None:
     seen = observe("click-button", 'Click on the "Ok" button.', ("button", "Cancel", "", -1))
-    with pytest.raises(Stuck, match="nothing with tag 'button', text 'Ok'"):
+    with pytest.raises(NoAction, match="nothing with tag 'button', text 'Ok'"):
         expert("click-button")(seen)
-    (choice,) = ExpertChooser(expert)([seen], np.zeros((1, 3), dtype=np.float32))
+    (choice,) = ExpertAgent(expert)([seen], np.zeros((1, 3), dtype=np.float32))
     assert choice.action == Action(verb=Verb.WAIT)
 
 
 def test_what_is_typed_is_a_span_of_the_instruction_where_it_has_one() -> None:
-    see = Sight(observe("enter-text", 'Enter "Ada" now.', ("input_text", "", "", -1)))
+    see = PageView(observe("enter-text", 'Enter "Ada" now.', ("input_text", "", "", -1)))
     assert see.type(0, "Ada") == Action(verb=Verb.TYPE, element=0, start=2, end=2)
     assert see.type(0, "ADA") == Action(verb=Verb.TYPE, element=0, literal="ADA")
 
 
 def test_a_field_that_holds_what_it_should_is_left_alone() -> None:
-    see = Sight(observe("enter-text", "Enter a b.", ("input_text", "a", "", -1), ("input_text", "", "", -1)))
+    see = PageView(observe("enter-text", "Enter a b.", ("input_text", "a", "", -1), ("input_text", "", "", -1)))
     assert see.fill({0: "a", 1: "b"}) == Action(verb=Verb.TYPE, element=1, start=2, end=2)
     assert see.fill({0: "a"}) is None
 
 
 def test_rows_are_found_by_what_they_are_and_by_what_they_lie_in() -> None:
     rows = [("div", "", "one", -1), ("p", "a", "", 0), ("div", "", "two x", -1), ("p", "a", "", 2), ("t", "b", "", 3)]
-    see = Sight(observe("click-test", "Click.", *rows))
+    see = PageView(observe("click-test", "Click.", *rows))
     assert see.rows("p", "a") == [1, 3]
     assert see.rows("p", "a", inside=2) == [3]
     assert see.row(kind="x") == 2
@@ -104,7 +104,7 @@ def test_a_winning_cell_is_taken_before_anything_else() -> None:
     marks = ("mark-x", "mark-x", "", "mark-o", "mark-o", "", "", "", "")
     cells = [("span", "", mark, 0 if i < 3 else 1 if i < 6 else 2) for i, mark in enumerate(marks)]
     rows = [("div", "", "ttt-row", -1)] * 3 + cells
-    action = play_for_the_win(Sight(observe("tic-tac-toe", "Win.", *rows)))
+    action = play_for_the_win(PageView(observe("tic-tac-toe", "Win.", *rows)))
     assert (action.verb, action.element) == (Verb.CLICK, 3 + 2)
 
 
@@ -133,6 +133,6 @@ def test_every_expert_succeeds_on_real_pages(farm: ChromeFarm, share: int) -> No
     mine = sorted(EXPERTS)[share::SHARES]
     won: Counter[str] = Counter()
     schedule = Schedule(mine, farm.tabs, purpose=Purpose.INSPECT, run_seed=2, quota=2)
-    for finished in play(farm, ExpertChooser(expert), schedule, step_limit=100, metrics=Metrics()):
+    for finished in play(farm, ExpertAgent(expert), schedule, step_limit=100, metrics=Metrics()):
         won.update(episode.trajectory.task for episode in finished if episode.outcome.success)
     assert {task for task in mine if won[task] < 2} <= SOMETIMES_LOST

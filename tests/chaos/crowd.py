@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from actors.episode_counter import ENTRY, Replaced, Tally, tallied
+from actors.episode_counter import ENTRY, EpisodeCounter, Replaced, read_counts
 from actors.uplink import Refused, Uplink, UplinkLimits
 from giirl_core.types import Action, Episode, Goal, Outcome, Page, Trajectory, Verb
 from giirl_core.wire.transport import Keys
@@ -33,7 +33,7 @@ def key(actor: int, incarnation: int, sequence: int) -> int:
     return (actor * INCARNATIONS + incarnation) * SEQUENCES + sequence
 
 
-class Remembered(Tally):
+class Remembered(EpisodeCounter):
     """Writes down for the test's own ledger what it forgets because it is settled."""
 
     def __init__(self, path: Path, incarnation: int) -> None:
@@ -54,7 +54,7 @@ def finished(folder: Path) -> dict[tuple[int, int], int]:
     for suffix in ("settled", "tally"):
         for path in sorted(folder.glob(f"actor-*.{suffix}")):
             actor = int(path.stem.rpartition("-")[2])
-            for incarnation, count in tallied(path):
+            for incarnation, count in read_counts(path):
                 found[actor, incarnation] = max(count, found.get((actor, incarnation), 0))
     return found
 
@@ -116,7 +116,7 @@ def crowd(
     """Play until SIGTERM, then hand over, wait for the checkpoint that covers it, and say good-bye."""
     stopped: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, frame: stopped.append(number))
-    model, draw = template(size), random.Random(actors[0])
+    model, rng = template(size), random.Random(actors[0])
     players = []
     for actor in actors:
         with suppress(Replaced):
@@ -128,7 +128,7 @@ def crowd(
         for player in list(players):
             try:
                 player.line.poll()
-                if player.line.ready and draw.random() < 0.5:
+                if player.line.ready and rng.random() < 0.5:
                     player.play(model, version)
             except Refused:
                 players.remove(player)

@@ -30,7 +30,7 @@ from giirl_core.wire.delivery import Grant, Notice
 from giirl_core.wire.messages import ALIGN, GAPS, LENGTH, PREFIX, WireError
 from learner.learner import Learner
 from learner.stream.admission import Admission, IngestLimits
-from learner.stream.snapshot import BOOKS, QUEUE, Held, Mark
+from learner.stream.snapshot import BOOKS, QUEUE, ActorOffsets, IngestSnapshot
 from tests.giirl.small import config
 from tests.giirl_core.wire_examples import STAMP, episode
 
@@ -47,41 +47,41 @@ RECORDING = {
 }
 
 
-def spoil(draw: random.Random, data: bytes) -> bytes:
+def spoil(rng: random.Random, data: bytes) -> bytes:
     """A few bytes changed, cut, doubled, put in or moved."""
     spoiled = bytearray(data)
-    for _ in range(draw.choice([1, 1, 1, 2, 5])):
-        place, end = draw.randrange(len(spoiled) + 1), draw.randrange(len(spoiled) + 1)
-        match draw.randrange(6):
+    for _ in range(rng.choice([1, 1, 1, 2, 5])):
+        place, end = rng.randrange(len(spoiled) + 1), rng.randrange(len(spoiled) + 1)
+        match rng.randrange(6):
             case 0 if spoiled:
-                spoiled[place % len(spoiled)] ^= 1 << draw.randrange(8)
+                spoiled[place % len(spoiled)] ^= 1 << rng.randrange(8)
             case 1 if spoiled:
-                spoiled[place % len(spoiled)] = draw.randrange(256)
+                spoiled[place % len(spoiled)] = rng.randrange(256)
             case 2:
                 del spoiled[place:end]
             case 3:
                 spoiled[place:place] = spoiled[place : place + 16]
             case 4:
-                spoiled[place:place] = draw.choice(WORDS)
+                spoiled[place:place] = rng.choice(WORDS)
             case _:
-                word = draw.choice(WORDS)
+                word = rng.choice(WORDS)
                 spoiled[place : place + len(word)] = word
     return bytes(spoiled)
 
 
-def spoil_message(draw: random.Random, message: bytes) -> bytes:
+def spoil_message(rng: random.Random, message: bytes) -> bytes:
     """Anywhere, or in the header alone, whose length is mended then; half have a checksum that suits, too."""
-    if draw.random() < 0.5:
-        spoiled = spoil(draw, message)
+    if rng.random() < 0.5:
+        spoiled = spoil(rng, message)
     else:
         start = PREFIX.size + LENGTH.size
         end = start + LENGTH.unpack_from(message, PREFIX.size)[0]
-        header = spoil(draw, message[start:end])
+        header = spoil(rng, message[start:end])
         columns = message[end + -end % ALIGN :]
         spoiled = b"".join(
             [message[: PREFIX.size], LENGTH.pack(len(header)), header, GAPS[len(header) % ALIGN], columns]
         )
-    if len(spoiled) >= PREFIX.size and draw.random() < 0.5:
+    if len(spoiled) >= PREFIX.size and rng.random() < 0.5:
         magic, schema, _ = PREFIX.unpack_from(spoiled)
         rest = spoiled[PREFIX.size :]
         spoiled = PREFIX.pack(magic, schema, wire.checksum(rest)) + rest
@@ -91,20 +91,20 @@ def spoil_message(draw: random.Random, message: bytes) -> bytes:
 def messages() -> list[tuple[bytes, Callable[[bytes], object]]]:
     """Every kind there is, and who reads it."""
     notice = Notice(kind=delivery.HELLO, stamp=STAMP, number=3, finished=50, before=((0, 5), (1, 2)))
-    grant = Grant(incarnation=2, notice=3, floor=4, judged=(6, 9), committed=1, settled=1, limit=12)
+    grant = Grant(incarnation=2, notice=3, low_watermark=4, acked=(6, 9), committed=1, settled=1, limit=12)
     books = Admission(
         STAMP.run,
         lambda: 3,
         reward_version=None,
         limits=IngestLimits(credits=4, max_bytes=1 << 20),
         metrics=Metrics(),
-        held=Held(),
+        held=IngestSnapshot(),
     )
     reply = scoring.ScoreReply(request=1, rewards=(np.ones(2, np.float32),), version=3, backlog=2)
     whole = wire.encode_episode(episode(2), stamp=STAMP)
 
     def hear(message: bytes) -> None:
-        books.hear(b"peer", message)
+        books.receive(b"peer", message)
         books.grants()
         books.pull(1)
 
@@ -133,8 +133,10 @@ def files(folder: Path) -> list[tuple[Path, Callable[[Path], object]]]:
     settings = config(folder / "run")
     learner = Learner(settings, [replace(episode(2).trajectory, policy_version=-1)], Metrics())
     learner.save(checkpoint)
-    held = Held(
-        episodes=(episode(1),), marks=(Mark(actor="a", incarnation=1, floor=2, judged=(4,)),), counts={"lost": 1}
+    held = IngestSnapshot(
+        episodes=(episode(1),),
+        marks=(ActorOffsets(actor="a", incarnation=1, low_watermark=2, acked=(4,)),),
+        counts={"lost": 1},
     )
     held.save(checkpoint)
     toml, saved = folder / "config.toml", folder / "config.json"
@@ -146,21 +148,21 @@ def files(folder: Path) -> list[tuple[Path, Callable[[Path], object]]]:
         (packed, read_recording),
         (toml, load_config),
         (saved, load_config),
-        (checkpoint / BOOKS, lambda path: Held.load(path.parent)),
-        (checkpoint / QUEUE, lambda path: Held.load(path.parent)),
+        (checkpoint / BOOKS, lambda path: IngestSnapshot.load(path.parent)),
+        (checkpoint / QUEUE, lambda path: IngestSnapshot.load(path.parent)),
     ]
     for name in ("learner.json", "policy.safetensors", "reward_optimiser.safetensors", "replay.giirl"):
         read.append((checkpoint / name, lambda path: learner.load(path.parent)))
     return read
 
 
-def fuzz_messages(draw: random.Random, count: int) -> Counter[str]:
+def fuzz_messages(rng: random.Random, count: int) -> Counter[str]:
     known = messages()
     found: Counter[str] = Counter()
     for _ in range(count):
-        message, read = draw.choice(known)
+        message, read = rng.choice(known)
         try:
-            read(spoil_message(draw, message))
+            read(spoil_message(rng, message))
             found["read"] += 1
         except WireError:
             found["WireError"] += 1
@@ -169,12 +171,12 @@ def fuzz_messages(draw: random.Random, count: int) -> Counter[str]:
     return found
 
 
-def fuzz_files(draw: random.Random, folder: Path, count: int) -> Counter[str]:
+def fuzz_files(rng: random.Random, folder: Path, count: int) -> Counter[str]:
     known = [(path, path.read_bytes(), read) for path, read in files(folder)]
     found: Counter[str] = Counter()
     for _ in range(count):
-        path, whole, read = draw.choice(known)
-        path.write_bytes(spoil(draw, whole))
+        path, whole, read = rng.choice(known)
+        path.write_bytes(spoil(rng, whole))
         try:
             read(path)
             found["read"] += 1
@@ -189,12 +191,12 @@ def fuzz_files(draw: random.Random, folder: Path, count: int) -> Counter[str]:
 def main() -> None:
     folder, sent, count = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     logging.disable(logging.WARNING)
-    draw, since_s = random.Random(5), time.monotonic()
-    seen = {"messages": fuzz_messages(draw, sent // 4)}
+    rng, since_s = random.Random(5), time.monotonic()
+    seen = {"messages": fuzz_messages(rng, sent // 4)}
     before = psutil.Process().memory_info().rss
-    seen["messages"] += fuzz_messages(draw, sent - sent // 4)
+    seen["messages"] += fuzz_messages(rng, sent - sent // 4)
     growth = (psutil.Process().memory_info().rss - before) / 2**20
-    seen["files"] = fuzz_files(draw, folder, count)
+    seen["files"] = fuzz_files(rng, folder, count)
     told = {name: dict(found) for name, found in seen.items()}
     result = {**told, "growth_mib": round(growth, 1), "seconds": round(time.monotonic() - since_s, 1)}
     (folder / "fuzz.json").write_text(json.dumps(result, indent=2) + "\n")

@@ -28,7 +28,7 @@ SETTINGS = {
     "serial": ("runtime=serial",),
     "lock-step": ("runtime=local", "stream.policy_lag=0", "stream.reward_lag=0", "actors.count=2", "stream.credits=2"),
 }
-FEW = ("iterations=6", "checkpoint_every=2", "keep_checkpoints=2", "evaluate.episodes=1", "evaluate.floor_episodes=1")
+FEW = ("iterations=6", "checkpoint_every=2", "keep_checkpoints=2", "evaluate.episodes=1", "evaluate.random_episodes=1")
 # What a run does again and again, and where each of its calls is a moment at which it may die.
 MOMENTS: dict[str, tuple[Any, str]] = {
     "take": (giirl_run.Session, "take"),  # while it waits for rollouts

@@ -84,8 +84,8 @@ class _Lines:
 class Vandal:
     """Does each kind of harm to some of the messages."""
 
-    def __init__(self, draw: random.Random) -> None:
-        self._draw = draw
+    def __init__(self, rng: random.Random) -> None:
+        self._rng = rng
         self._held: list[tuple[float, bytes, bytes]] = []
         self.done: Counter[str] = Counter()
         self.harms: dict[str, Callable[[bytes], list[bytes]]] = {
@@ -96,16 +96,16 @@ class Vandal:
             "grown": lambda message: [message + b"x" * 1000],
             "other_schema": self._other_schema,
             "other_run": self._other_run,
-            "junk": lambda message: [message, self._draw.randbytes(40)],
+            "junk": lambda message: [message, self._rng.randbytes(40)],
         }
 
     def pass_on(self, peer: bytes, message: bytes) -> list[bytes]:
-        if self._draw.random() >= SHARE:
+        if self._rng.random() >= SHARE:
             return [message]
-        kind = self._draw.choice([*self.harms, "late"])
+        kind = self._rng.choice([*self.harms, "late"])
         self.done[kind] += 1
         if kind == "late":
-            self._held.append((time.monotonic() + self._draw.random() * DELAY_S, peer, message))
+            self._held.append((time.monotonic() + self._rng.random() * DELAY_S, peer, message))
             return []
         return self.harms[kind](message)
 
@@ -114,15 +114,15 @@ class Vandal:
         now_s = time.monotonic()
         due = [(peer, message) for at_s, peer, message in self._held if at_s <= now_s]
         self._held = [entry for entry in self._held if entry[0] > now_s]
-        self._draw.shuffle(due)
+        self._rng.shuffle(due)
         return due
 
     def _cut(self, message: bytes) -> list[bytes]:
-        return [message[: self._draw.randrange(len(message))]]
+        return [message[: self._rng.randrange(len(message))]]
 
     def _flip(self, message: bytes) -> list[bytes]:
         spoiled = bytearray(message)
-        spoiled[self._draw.randrange(len(spoiled))] ^= 1 << self._draw.randrange(8)
+        spoiled[self._rng.randrange(len(spoiled))] ^= 1 << self._rng.randrange(8)
         return [bytes(spoiled)]
 
     def _other_schema(self, message: bytes) -> list[bytes]:

@@ -23,7 +23,7 @@ import numpy as np
 
 from learner.checkpoint import latest_checkpoint
 from learner.stream.admission import DROPPED, TAKEN
-from learner.stream.snapshot import Held
+from learner.stream.snapshot import IngestSnapshot
 from tests.chaos.crowd import INCARNATIONS, SEQUENCES, crowd, finished, read_version
 from tests.chaos.relay import relay
 from tests.chaos.trainer import SLOW, TRAINED, WRITING, train
@@ -50,7 +50,7 @@ class Storm:
     """Processes, and what happens to them."""
 
     def __init__(self, folder: Path, *, crowds: int, players: int, batch: int, seed: int) -> None:
-        self.folder, self._players, self._batch, self._draw = folder, players, batch, random.Random(seed)
+        self.folder, self._players, self._batch, self._rng = folder, players, batch, random.Random(seed)
         self._ports = free_ports(2)
         self._pids: dict[str, int] = {}
         self._incarnations = [0] * crowds
@@ -81,10 +81,10 @@ class Storm:
         while sum(self.faults.values()) < faults or sum(finished(self.folder).values()) < episodes:
             assert time.monotonic() - begun_s < deadline_s, f"not through after {deadline_s} s: {self.faults}"
             if sum(self.faults.values()) < faults:
-                kind = self._draw.choice(kinds)
+                kind = self._rng.choice(kinds)
                 kind()
                 self.faults[kind.__name__.strip("_")] += 1
-            time.sleep(self._draw.random() * 0.3)
+            time.sleep(self._rng.random() * 0.3)
             if read_version(self.folder) != step:
                 step, moved_s = read_version(self.folder), time.monotonic()
             assert time.monotonic() - moved_s < PROGRESS_S, f"no step for {PROGRESS_S} s after {self.faults}"
@@ -116,7 +116,7 @@ class Storm:
         self._pids[name] = start(name, lambda: crowd(self.folder, f"127.0.0.1:{port}", actors, incarnation))
 
     def _any_crowd(self) -> int:
-        return self._draw.randrange(len(self._incarnations))
+        return self._rng.randrange(len(self._incarnations))
 
     def _kill(self, name: str) -> None:
         pid = self._pids.pop(name)
@@ -157,7 +157,7 @@ class Storm:
         until_s = time.monotonic() + 5
         while not (self.folder / WRITING).exists() and time.monotonic() < until_s:
             time.sleep(0.0005)
-        time.sleep(self._draw.random() * 0.02)
+        time.sleep(self._rng.random() * 0.02)
         self._kill_trainer()
 
     def _start_trainer(self) -> None:
@@ -177,11 +177,11 @@ class Storm:
         self._pause("trainer", 0.5)
 
     def _slow_trainer(self) -> None:
-        (self.folder / SLOW).write_text(str(self._draw.choice([0, 0, 0.02, 0.1])))
+        (self.folder / SLOW).write_text(str(self._rng.choice([0, 0, 0.02, 0.1])))
 
     def _kill_relay(self) -> None:
         self._kill("relay")
-        seed = self._draw.randrange(1 << 30)
+        seed = self._rng.randrange(1 << 30)
         self._pids["relay"] = start("relay", lambda: relay(self._ports[1], self._ports[0], seed, self.folder / HARMS))
 
     def _cut(self) -> None:
@@ -189,7 +189,7 @@ class Storm:
 
     def _pause(self, name: str, longest_s: float) -> None:
         os.kill(self._pids[name], signal.SIGSTOP)
-        time.sleep(self._draw.random() * longest_s)
+        time.sleep(self._rng.random() * longest_s)
         os.kill(self._pids[name], signal.SIGCONT)
 
     def _ended(self, pid: int, timeout_s: float) -> int:
@@ -205,7 +205,7 @@ class Storm:
 def settle_accounts(folder: Path) -> dict[str, Any]:
     """By the last checkpoint and the actors' own files: how many episodes went where, and how many nowhere."""
     last = latest_checkpoint(folder / "checkpoints")
-    held, trained = Held.load(last), np.load(last / TRAINED)
+    held, trained = IngestSnapshot.load(last), np.load(last / TRAINED)
     queue = [episode.trajectory.seed for episode in held.episodes]
     made = finished(folder)
     foreign = [k for k in [*trained.tolist(), *queue] if _place(k)[1] >= made.get(_place(k)[0], 0)]

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from actors.episode_counter import tallied
+from actors.episode_counter import read_counts
 from giirl_core.processes.supervision import CRASHES
 from learner.checkpoint import latest_checkpoint
-from learner.stream.snapshot import Held
+from learner.stream.snapshot import IngestSnapshot
 from tests.end_to_end.cluster import ray_cluster
 from tests.end_to_end.commands import Command, find, run_folder, step
 
@@ -29,7 +29,7 @@ WORDS = (
     "net.vectors=hashed",
     "net.width=16",
     "demos.per_task=4",
-    "actors.silence_s=4.0",
+    "actors.heartbeat_timeout_s=4.0",
     "scoring.replicas=2",
 )
 START_S = 200.0  # a busy machine needs long for Ray and torch
@@ -41,11 +41,11 @@ def unaccounted(run: Path, tally: Path) -> int:
 
     Of incarnations that the books have settled it counts no more.
     """
-    held = Held.load(latest_checkpoint(run / "checkpoints"))
+    held = IngestSnapshot.load(latest_checkpoint(run / "checkpoints"))
     (mark,) = held.marks
-    newest = dict(tallied(tally))[mark.incarnation]
+    newest = dict(read_counts(tally))[mark.incarnation]
     assert held.counts["taken"] == 8 * step(run)
-    return newest - mark.floor - len(mark.judged)
+    return newest - mark.low_watermark - len(mark.acked)
 
 
 def goes_on(command: Command, run: Path) -> None:
@@ -61,7 +61,7 @@ def test_a_run_whose_actor_dies_whenever_it_begins_gives_up_saves_and_says_so(fu
         tally, begun = run / "actors" / "actor-0.tally", set[int]()
 
         def given_up() -> bool:
-            incarnation, _ = tallied(tally)[-1]
+            incarnation, _ = read_counts(tally)[-1]
             if incarnation not in begun:
                 begun.add(incarnation)
                 for actor in find(command, "ray::ActorProcess"):

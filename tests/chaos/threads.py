@@ -37,7 +37,7 @@ class ThreadCall:
 
 
 class ThreadProcess:
-    found = False
+    reattached = False
 
     def __init__(self, kind: type[Any], values: tuple[Any, ...]) -> None:
         self._kind, self._values = kind, values
@@ -54,7 +54,7 @@ class ThreadProcess:
 
 class ThreadPlatform:
     host = "127.0.0.1"
-    alone = True
+    single_node = True
 
     def start(self, kind: type[Any], name: str, *values: Any, cpus: int, threads: int = 0) -> ThreadProcess:
         return ThreadProcess(kind, values)

@@ -13,7 +13,7 @@ from giirl_core.wire.transport import Keys
 from learner.checkpoint import latest_checkpoint, save_checkpoint
 from learner.stream.admission import IngestLimits
 from learner.stream.ingest import Ingest
-from learner.stream.snapshot import Held
+from learner.stream.snapshot import IngestSnapshot
 from tests.chaos.crowd import VERSION
 
 BATCH = 32
@@ -29,10 +29,10 @@ def train(folder: Path, port: int, *, batch: int = BATCH, host: str = "127.0.0.1
     stopped: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, frame: stopped.append(number))
     checkpoints = folder / "checkpoints"
-    held, trained, version = Held(), np.empty(0, np.int64), 0
+    held, trained, version = IngestSnapshot(), np.empty(0, np.int64), 0
     if (checkpoints / "latest").exists():
         found = latest_checkpoint(checkpoints)
-        held, trained = Held.load(found), np.load(found / TRAINED)
+        held, trained = IngestSnapshot.load(found), np.load(found / TRAINED)
         version = int(found.name.split("-")[1])
     seeds: list[int] = trained.tolist()
     (folder / WRITING).unlink(missing_ok=True)

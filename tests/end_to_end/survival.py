@@ -41,7 +41,7 @@ WORDS = (
     "checkpoint_every=5",
     "demos.per_task=20",
     "evaluate.episodes=20",
-    "evaluate.floor_episodes=20",
+    "evaluate.random_episodes=20",
     "actors.score_timeout_s=1.0",
 )
 

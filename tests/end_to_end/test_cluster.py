@@ -20,7 +20,7 @@ iterations = 4
 rollout_batch = 4
 net = {vectors = "hashed", width = 16}
 demos = {per_task = 4}
-evaluate = {episodes = 4, floor_episodes = 4}
+evaluate = {episodes = 4, random_episodes = 4}
 """
 
 

@@ -25,7 +25,7 @@ WORDS = (
     "net.vectors=hashed",
     "demos.per_task=8",
     "evaluate.episodes=10",
-    "evaluate.floor_episodes=10",
+    "evaluate.random_episodes=10",
 )
 
 

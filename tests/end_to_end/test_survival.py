@@ -124,7 +124,7 @@ def test_a_killed_reward_service_comes_back_and_answers(survival: Survival) -> N
 def test_evaluating_a_run_writes_what_its_result_has(survival: Survival, tmp_path: Path) -> None:
     out = tmp_path / "evaluated.json"
     status, said, left = giirl(
-        "evaluate", survival.run, "evaluate.episodes=10", "evaluate.floor_episodes=10", "--json", out
+        "evaluate", survival.run, "evaluate.episodes=10", "evaluate.random_episodes=10", "--json", out
     )
     assert (status, left) == (0, []), said
     evaluated, result = read_json(out), read_json(survival.run / "result.json")
@@ -139,7 +139,7 @@ def test_evaluating_a_run_writes_what_its_result_has(survival: Survival, tmp_pat
 def test_toggling_goals_writes_how_often_the_reward_followed(survival: Survival, tmp_path: Path) -> None:
     out = tmp_path / "toggled.json"
     status, said, left = giirl(
-        "reward", "toggle", survival.run, "--task", "click-button", "--pages", "20", "--json", out
+        "reward", "goal-swap", survival.run, "--task", "click-button", "--pages", "20", "--json", out
     )
     assert (status, left) == (0, []), said
     toggled = read_json(out)

@@ -22,10 +22,10 @@ SETTINGS = (
     "checkpoint_every=2",
     "demos.per_task=4",
     "discriminator.batch=16",
-    "policy.asked=4",
+    "policy.sampled_actions=4",
     "actors.tabs=4",
     "evaluate.episodes=4",
-    "evaluate.floor_episodes=4",
+    "evaluate.random_episodes=4",
 )
 
 

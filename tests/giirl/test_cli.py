@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from giirl.cli.main import main
-from giirl_core.files import held
+from giirl_core.files import folder_lock
 from giirl_core.wire.messages import read_episodes
 from tests.giirl.small import SETTINGS, run
 
@@ -123,7 +123,7 @@ def test_a_mended_command_works_in_the_same_folder(giirl: Command) -> None:
 
 def test_a_run_that_another_process_works_on_is_not_gone_on_with(giirl: Command, tmp_path: Path) -> None:
     assert giirl("train", *SETTINGS, "iterations=1", "run=out").status == 0
-    with held(tmp_path / "out"):
+    with folder_lock(tmp_path / "out"):
         assert "another process works in out" in giirl("train", "--resume", "out", "iterations=2").complaint
     assert giirl("train", "--resume", "out", "iterations=2").status == 0
 
@@ -143,13 +143,13 @@ def test_an_unknown_option_or_command_ends_with_an_error_and_no_traceback(giirl:
         assert "Traceback" not in answer.err
 
 
-@pytest.mark.parametrize("words", [["train", "--resume"], ["evaluate"], ["reward", "toggle"]])
+@pytest.mark.parametrize("words", [["train", "--resume"], ["evaluate"], ["reward", "goal-swap"]])
 def test_a_folder_that_is_no_run_is_named(words: list[str], giirl: Command, tmp_path: Path) -> None:
     assert "nowhere is no run: there is no config.json in it" in giirl(*words, "nowhere").complaint
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("words", [["train", "--resume"], ["evaluate"], ["reward", "toggle"]])
+@pytest.mark.parametrize("words", [["train", "--resume"], ["evaluate"], ["reward", "goal-swap"]])
 def test_a_truncated_checkpoint_is_named_with_the_one_to_use_instead(
     words: list[str], giirl: Command, finished: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
@@ -212,12 +212,12 @@ def test_evaluate_measures_the_last_checkpoint_again(
 def test_toggle_reports_shares_of_the_pages_it_was_asked_for(
     giirl: Command, finished: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
-    assert giirl("reward", "toggle", finished[0], "--pages", "9", "--json", "t.json").status == 0
+    assert giirl("reward", "goal-swap", finished[0], "--pages", "9", "--json", "t.json").status == 0
     result = json.loads((tmp_path / "t.json").read_text())
     assert result["pages"] == 9
     assert 0 <= result["own_goal_top1"] <= 1
     assert 0 <= result["swapped_goal_top1"] <= 1
-    said = giirl("reward", "toggle", finished[0], "--pages", "2", "--task", "click-test").complaint
+    said = giirl("reward", "goal-swap", finished[0], "--pages", "2", "--task", "click-test").complaint
     assert "click-test has no page of" in said
 
 
@@ -245,7 +245,7 @@ def test_demonstrations_made_by_the_command_can_be_counted_and_learned_from(giir
         (["make", "--browser", "fake", "--out", "a", "--seed", "70000"], "seed = 70000"),
         (["import", "missing", "--out", "a"], "missing"),
         (["experts", "--task", "click-buton"], "did you mean 'click-button'"),
-        (["experts", "--json", "notes.txt", "--go-on"], "notes.txt is no result of giirl demos experts"),
+        (["experts", "--json", "notes.txt", "--resume"], "notes.txt is no result of giirl demos experts"),
         (["record", "--out", "a"], "there is no screen"),
         (["record", "--out", "a", "--task", "flight.AA"], "flight.AA cannot be recorded"),
     ],

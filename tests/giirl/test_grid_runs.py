@@ -30,7 +30,7 @@ from gridcraft.layouts import named_layout
 ROOT = Path(__file__).parents[2]
 EXPERIMENT = ROOT / "experiments" / "gridcraft.toml"
 PNG = b"\x89PNG\r\n"
-QUICK = ["iterations=2", "rollout_batch=2", "discriminator.updates=1", "policy.updates=2", "grid.chance_episodes=5"]
+QUICK = ["iterations=2", "rollout_batch=2", "discriminator.updates=1", "policy.updates=2", "grid.random_episodes=5"]
 
 
 def invoke(*words: str) -> Result:
@@ -225,4 +225,4 @@ def test_a_run_that_is_stopped_saves_and_a_finished_one_can_be_evaluated_again(t
     assert invoke("evaluate", str(path), 'grid.layouts=["rooms"]', "--json", str(numbers)).exit_code == 0
     assert json.loads(numbers.read_text())["goals"] != first["goals"]
     with pytest.raises(ValueError, match="which has no pages"):
-        invoke("reward", "toggle", str(path))
+        invoke("reward", "goal-swap", str(path))

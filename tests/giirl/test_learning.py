@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from giirl.analysis.goal_swap import toggle
+from giirl.analysis.goal_swap import goal_swap
 from giirl.run.folder import RunFolder
 from giirl.run.train import train
 from giirl_core.config_file import load_config
@@ -20,7 +20,7 @@ SETTINGS = (
     "browser=fake",
     "net.vectors=hashed",
     "evaluate.episodes=100",
-    "evaluate.floor_episodes=50",
+    "evaluate.random_episodes=50",
 )
 
 
@@ -36,14 +36,14 @@ def test_giirl_learns_the_four_fake_tasks_from_scratch_and_a_reward_that_follows
     assert tasks["enter-text"]["random"] < 0.2  # not by chance
     folder, config = RunFolder.open(tmp_path / "run")
     reward = folder.weights(latest_checkpoint(folder.checkpoints), "reward")
-    shares = toggle(config, reward, "click-button", 100, Metrics(), Display())
+    shares = goal_swap(config, reward, "click-button", 100, Metrics(), Display())
     assert shares["own_goal_top1"] > 0.9
     assert shares["swapped_goal_top1"] > 0.9
 
 
 def test_cloning_learns_what_it_is_shown_on_a_page_it_never_saw(tmp_path: Path) -> None:
     words = ("algorithm=cloning", "rollout_batch=2", 'tasks=["click-test-2", "click-button"]', "net.width=16")
-    quick = ("cloning.learning_rate=0.01", "iterations=25", "evaluate.episodes=40", "evaluate.floor_episodes=4")
+    quick = ("cloning.learning_rate=0.01", "iterations=25", "evaluate.episodes=40", "evaluate.random_episodes=4")
     result = learn(tmp_path / "run", *words, *quick)
     assert result["algorithm"] == "cloning"
     assert {task: row["success"] for task, row in result["tasks"].items() if row["success"] < 0.9} == {}

@@ -75,10 +75,9 @@ def test_resuming_from_any_checkpoint_ends_in_the_same_bits(
 
 
 DEMANDING = (
-    "discriminator.dropout=0.3",
     "discriminator.gradient_penalty=0.1",
     "discriminator.replay_size=5",
-    "policy.cloning_start=2",
+    "policy.bc_warmup_updates=2",
 )
 
 

@@ -29,13 +29,13 @@ SHARE = 0.4
 def studied(monkeypatch: pytest.MonkeyPatch) -> list[Trajectory]:
     """Every rollout that the learner is going to see."""
     seen: list[Trajectory] = []
-    study = Learner.study
+    study = Learner.featurise
 
     def watch(self: Learner, trajectories: Any) -> Any:
         seen.extend(trajectories)
         return study(self, trajectories)
 
-    monkeypatch.setattr(Learner, "study", watch)
+    monkeypatch.setattr(Learner, "featurise", watch)
     return seen
 
 
@@ -62,7 +62,7 @@ def test_goals_that_are_held_out_are_neither_demonstrated_nor_trained_on_but_mea
 
 def test_spoiled_demonstrations_take_the_place_of_so_many_good_ones(tmp_path: Path) -> None:
     run(tmp_path / "good", "demos.per_task=10")
-    run(tmp_path / "spoiled", "demos.per_task=10", "demos.spoiled=0.3")
+    run(tmp_path / "spoiled", "demos.per_task=10", "demos.noise_fraction=0.3")
     good, spoiled = (RunFolder(tmp_path / name).load_demonstrations() for name in ("good", "spoiled"))
     assert all(episode.outcome.success for episode in good)
     assert len(spoiled) == len(good) == 40

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from giirl.cli.reproduce_web import commands, study_table, summary
 from giirl.figures import _success_at, draw_successes
 from giirl.run.folder import RunFolder
-from giirl.studies.runner import Variant, ask_all, measure_elsewhere, plan, pooled, record, run_all
+from giirl.studies.runner import Variant, evaluate_rewards, measure_transfer, plan, pooled, record, run_all
 from giirl.studies.web import STUDIES, base_settings
 from giirl_core.progress import Display
 from tests.giirl.small import SETTINGS
@@ -22,7 +22,7 @@ from tests.giirl.small import SETTINGS
 VARIANTS = (
     Variant(name="giirl"),
     Variant(name="follower", reward_of="giirl"),
-    Variant(name="cloning", changes=("algorithm=cloning", 'tasks=["click-test"]'), elsewhere=("click-test-2",)),
+    Variant(name="cloning", changes=("algorithm=cloning", 'tasks=["click-test"]'), transfer_tasks=("click-test-2",)),
 )
 
 
@@ -41,23 +41,23 @@ def test_the_same_settings_are_the_same_run_and_a_follower_waits_for_its_own_see
 def test_runs_are_done_once_and_one_that_fails_does_not_stop_the_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("giirl.studies.runner.ASKED_PAGES", 20)
+    monkeypatch.setattr("giirl.studies.runner.GOAL_SWAP_PAGES", 20)
     settings = [*SETTINGS, "iterations=2"]
     broken = Variant(name="broken", changes=("demos.source=file", f"demos.path={tmp_path / 'none'}"))
     orphan = Variant(name="orphan", reward_of="broken")
     runs = plan(settings, (broken, orphan, *VARIANTS), [0], tmp_path / "runs")
     with pytest.raises(RuntimeError, match=r"1 runs failed, the first of them broken, seed 0: giirl: .*none"):
-        run_all(runs, at_once=2, display=Display())
+        run_all(runs, jobs=2, display=Display())
     done = {run.variant.name: run for run in runs if run.done}
     assert set(done) == {"giirl", "follower", "cloning"}
     before = {name: RunFolder(run.folder).result.stat().st_mtime_ns for name, run in done.items()}
-    run_all(list(done.values()), at_once=2, display=Display())
+    run_all(list(done.values()), jobs=2, display=Display())
     assert before == {name: RunFolder(run.folder).result.stat().st_mtime_ns for name, run in done.items()}
-    ask_all(list(done.values()), Display())
-    measure_elsewhere(list(done.values()), Display())
-    records = [record(run, asked=True) for run in done.values()]
-    assert "toggle" in records[0]
-    assert "toggle" not in record(done["giirl"])
+    evaluate_rewards(list(done.values()), Display())
+    measure_transfer(list(done.values()), Display())
+    records = [record(run, evaluates_reward=True) for run in done.values()]
+    assert "goal_swap" in records[0]
+    assert "goal_swap" not in record(done["giirl"])
     assert [each["algorithm"] for each in records] == ["giirl", "frozen", "cloning"]
     assert records[0]["curve"][-1]["episodes"] == 2 * 8
     result = summary("test", records)
@@ -65,7 +65,7 @@ def test_runs_are_done_once_and_one_that_fails_does_not_stop_the_others(
     assert set(result["variants"]) == set(done)
     assert result["variants"]["cloning"]["tasks"]["click-test-2"]["episodes"] == 4
     answers = result["variants"]["giirl"]
-    assert {"own_goal_top1", "swapped_goal_top1"} == set(answers["toggle"])
+    assert {"own_goal_top1", "swapped_goal_top1"} == set(answers["goal_swap"])
     assert set(answers["sensitivity"]) == {"click-button", "enter-text"}  # where instructions differ
     assert (
         study_table("test", result).row_count == 13
@@ -126,7 +126,7 @@ def test_tuning_and_reporting_never_share_a_study() -> None:
     assert "seeds 98 to 100 are for reports and for tuning: wanted all below 100, or none" in said.output
 
 
-@pytest.mark.parametrize("name", [name for name, study in STUDIES.items() if study.chooses])
+@pytest.mark.parametrize("name", [name for name, study in STUDIES.items() if study.tuning])
 def test_choices_are_made_on_tuning_seeds_alone(name: str) -> None:
     (command,) = [command for command in commands() if command.name == name]
     assert {p.name: p.default for p in command.params}["first_seed"] == 100

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import giirl.run.train as giirl_run
-from actors.episode_counter import tallied
+from actors.episode_counter import read_counts
 from giirl.run.folder import RunFolder
 from giirl.run.workers import WorkersRuntime
 from giirl_core.config_file import dump_config
@@ -24,7 +24,7 @@ from tests.chaos.threads import ThreadPlatform
 from tests.giirl.small import config, run
 
 LOCK_STEP = ("runtime=local", "stream.policy_lag=0", "stream.reward_lag=0", "actors.tabs=2")
-FEW = ("iterations=3", "evaluate.episodes=1", "evaluate.floor_episodes=1")
+FEW = ("iterations=3", "evaluate.episodes=1", "evaluate.random_episodes=1")
 
 
 @pytest.fixture
@@ -67,15 +67,17 @@ def test_actors_are_added_and_removed_while_a_run_goes_on(
 
     monkeypatch.setattr(WorkersRuntime, "take", resizing)
     monkeypatch.setattr("giirl.run.workers.TEND_S", 0.01)
-    run(tmp_path / "run", "runtime=local", "iterations=40", "evaluate.episodes=1", "evaluate.floor_episodes=1")
+    run(tmp_path / "run", "runtime=local", "iterations=40", "evaluate.episodes=1", "evaluate.random_episodes=1")
     numbers = [len(names) for names in heard]
     assert (numbers[0], max(numbers)) == (1, 3)
     assert [actor.name for actor in runtimes[0]._actors] == ["actor-0", "actor-1"]  # the third was told to leave
     assert [actor.restarts for actor in runtimes[0]._actors] == [0, 0]  # nor was the second refused when it came back
     held = runtimes[0]._ingest.snapshot()
     assert {mark.actor for mark in held.marks} == {"actor-0", "actor-1", "actor-2"}
-    tallies = {mark.actor: tallied(tmp_path / "run/actors" / f"{mark.actor}.tally")[-1] for mark in held.marks}
-    assert {mark.actor: (mark.incarnation, mark.floor) for mark in held.marks} == tallies  # nothing is unaccounted
+    tallies = {mark.actor: read_counts(tmp_path / "run/actors" / f"{mark.actor}.tally")[-1] for mark in held.marks}
+    assert {
+        mark.actor: (mark.incarnation, mark.low_watermark) for mark in held.marks
+    } == tallies  # nothing is unaccounted
 
 
 def test_a_reward_service_that_nobody_began_is_begun_and_one_that_serves_is_joined(tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def test_what_was_dumped_is_read_back_the_same(
         ("policy.entropy=0", "policy.entropy = 0: .* greater than 0"),
         ("policy.entropy=inf", "policy.entropy = inf: .* finite"),
         ("policy.entropy=nan", "policy.entropy = nan"),
-        ("policy.asked=3", "policy.asked = 3: .* multiple of 2"),
+        ("policy.sampled_actions=3", "policy.sampled_actions = 3: .* multiple of 2"),
         ("seed=65536", "seed = 65536"),
         ("seed=one", "seed = 'one'"),
         ("net.width=6", "net.width = 6: .* multiple of 4"),

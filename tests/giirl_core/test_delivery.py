@@ -111,7 +111,7 @@ def test_a_message_beyond_the_limit_is_refused_before_it_is_read() -> None:
 def test_another_schema_is_named_in_the_error() -> None:
     message = wire.encode({"kind": "x"})
     other = wire.PREFIX.pack(wire.MAGIC, wire.SCHEMA + 1, 0) + message[wire.PREFIX.size :]
-    with pytest.raises(WireError, match="schema 5, this program speaks 4"):
+    with pytest.raises(WireError, match="schema 6, this program speaks 5"):
         wire.decode(other)
 
 

@@ -23,7 +23,7 @@ from giirl_core.nets.features import (
     rename,
 )
 from giirl_core.nets.language import FIRST_WORD, PADDING, UNKNOWN, load_vectors
-from giirl_core.nets.models import Policy, RewardNet
+from giirl_core.nets.models import PolicyNet, RewardNet
 from giirl_core.types import Action, Goal, Page, Verb
 from tests.learner.samples import CASES, FLAT, batch_of, legal_actions, page, policy, reward_net, vectors
 
@@ -34,7 +34,7 @@ def close(one: Tensor, two: Tensor) -> bool:
 
 
 @pytest.fixture(scope="module")
-def acting() -> Policy:
+def acting() -> PolicyNet:
     return policy()
 
 
@@ -44,7 +44,9 @@ def judging() -> RewardNet:
 
 
 @pytest.mark.parametrize("case", CASES, ids=["long", "short", "flat"])
-def test_padding_changes_no_output_of_either_net(case: tuple[Page, Goal], acting: Policy, judging: RewardNet) -> None:
+def test_padding_changes_no_output_of_either_net(
+    case: tuple[Page, Goal], acting: PolicyNet, judging: RewardNet
+) -> None:
     wide = page("div", *["input_text"] * 9)
     padded = batch_of(case, (wide, Goal(" ".join(["word"] * 40))))
     for action in legal_actions(*case)[::5]:
@@ -55,7 +57,7 @@ def test_padding_changes_no_output_of_either_net(case: tuple[Page, Goal], acting
         assert close(judging(*alone)[0], judging(*beside)[0])
 
 
-def test_what_stands_in_the_padding_is_never_read(acting: Policy, judging: RewardNet) -> None:
+def test_what_stands_in_the_padding_is_never_read(acting: PolicyNet, judging: RewardNet) -> None:
     batch, actions = batch_of(*CASES), collate_actions([legal_actions(*case)[0] for case in CASES])
     spoiled = batch_of(*CASES)
     for name in ("token_words", "token_flags", "element_words", "element_tag", "element_classes", "element_flags"):

@@ -11,16 +11,16 @@ from torch import Tensor
 
 from giirl_core.config import NetConfig
 from giirl_core.nets.features import ActionBatch, collate_actions
-from giirl_core.nets.models import Policy, nearness
+from giirl_core.nets.models import PolicyNet, nearness
 from giirl_core.types import Action, Goal, Page, Verb
-from learner.actor_critic import chance_logp, join
+from learner.actor_critic import join, random_logp
 from tests.learner.samples import CASES, LONG, SHORT, batch_of, legal_actions, page, policy, vectors
 
 IDS = ["long", "short", "flat"]
 
 
 @pytest.fixture(scope="module")
-def net() -> Policy:
+def net() -> PolicyNet:
     """Untrained, but with opinions: its weights are scaled up."""
     opinionated = policy(3)
     with torch.no_grad():
@@ -41,13 +41,13 @@ def uniform(pages: int, count: int, seed: int = 0) -> Tensor:
 
 
 @pytest.mark.parametrize("case", CASES, ids=IDS)
-def test_the_probabilities_of_all_legal_actions_sum_to_one(case: tuple[Page, Goal], net: Policy) -> None:
+def test_the_probabilities_of_all_legal_actions_sum_to_one(case: tuple[Page, Goal], net: PolicyNet) -> None:
     logp, _, _ = net.evaluate(batch_of(case), many(legal_actions(*case)))
     assert logp.exp().sum().item() == pytest.approx(1.0, abs=1e-5)
 
 
 @pytest.mark.parametrize("case", CASES, ids=IDS)
-def test_the_entropy_of_verb_and_element_is_that_of_the_enumeration(case: tuple[Page, Goal], net: Policy) -> None:
+def test_the_entropy_of_verb_and_element_is_that_of_the_enumeration(case: tuple[Page, Goal], net: PolicyNet) -> None:
     shown, goal = case
     actions = legal_actions(shown, goal)
     logp, entropy, _ = net.evaluate(batch_of(case), many(actions))
@@ -67,7 +67,7 @@ def test_the_entropy_of_verb_and_element_is_that_of_the_enumeration(case: tuple[
         (Verb.TYPE, 3, 2, 1),  # ends before it starts
     ],
 )
-def test_an_illegal_action_has_probability_zero(action: tuple[int, ...], net: Policy) -> None:
+def test_an_illegal_action_has_probability_zero(action: tuple[int, ...], net: PolicyNet) -> None:
     verb, element, start, end = torch.tensor(action).view(4, 1, 1)
     chosen = ActionBatch(verb=verb, element=element, start=start, end=end)
     logp, _, _ = net.evaluate(batch_of((LONG, CASES[0][1])), chosen)
@@ -75,7 +75,7 @@ def test_an_illegal_action_has_probability_zero(action: tuple[int, ...], net: Po
 
 
 @pytest.mark.parametrize("flat", [None, torch.tensor([False, True]).repeat(100)])
-def test_what_is_drawn_is_legal_and_words_never_end_before_they_start(flat: Tensor | None, net: Policy) -> None:
+def test_what_is_drawn_is_legal_and_words_never_end_before_they_start(flat: Tensor | None, net: PolicyNet) -> None:
     actions, _ = net.sample(batch_of(*CASES), uniform(3, 200), flat)
     for b, (shown, goal) in enumerate(CASES):
         legal = set(legal_actions(shown, goal))
@@ -85,36 +85,36 @@ def test_what_is_drawn_is_legal_and_words_never_end_before_they_start(flat: Tens
             assert Action(verb=Verb(verb), element=element, start=start, end=end) in legal
 
 
-@pytest.mark.parametrize("draw", [0.0, 1.0 - 2.0**-24])
-def test_the_first_and_the_last_of_all_draws_are_legal_too(draw: float, net: Policy) -> None:
+@pytest.mark.parametrize("uniform", [0.0, 1.0 - 2.0**-24])
+def test_the_first_and_the_last_of_all_draws_are_legal_too(uniform: float, net: PolicyNet) -> None:
     batch = batch_of((LONG, CASES[0][1]))
-    actions, logp = net.sample(batch, torch.full((1, 1, 3), draw))
+    actions, logp = net.sample(batch, torch.full((1, 1, 3), uniform))
     assert actions.first()[0] in legal_actions(*CASES[0])
     assert logp.item() > -100
 
 
-def test_the_logp_of_a_draw_is_the_one_that_evaluation_gives(net: Policy) -> None:
+def test_the_logp_of_a_draw_is_the_one_that_evaluation_gives(net: PolicyNet) -> None:
     batch = batch_of(*CASES)
     actions, logp = net.sample(batch, uniform(3, 50))
     assert torch.allclose(logp, net.evaluate(batch, actions)[0], atol=1e-5)
     assert {0, 1} <= set(actions.verb.flatten().tolist())
 
 
-def test_flat_draws_have_the_logp_of_chance(net: Policy) -> None:
+def test_flat_draws_have_the_logp_of_chance(net: PolicyNet) -> None:
     batch = batch_of(*CASES)
     actions, logp = net.sample(batch, uniform(3, 50), torch.ones(50, dtype=torch.bool))
-    assert torch.allclose(logp, chance_logp(batch, actions), atol=1e-5)
+    assert torch.allclose(logp, random_logp(batch, actions), atol=1e-5)
 
 
 @pytest.mark.parametrize("flat", [False, True])
-def test_actions_are_drawn_as_often_as_they_are_likely(flat: bool, net: Policy) -> None:
+def test_actions_are_drawn_as_often_as_they_are_likely(flat: bool, net: PolicyNet) -> None:
     case = (SHORT, Goal("Type ok."))
     batch, actions, count = batch_of(case), legal_actions(SHORT, Goal("Type ok.")), 4000
     grid = (torch.arange(count) + 0.5) / count  # stratified, so that counts are nearly exact
     order = torch.Generator().manual_seed(0)
     draws = torch.stack([grid[torch.randperm(count, generator=order)] for _ in range(3)], dim=1).unsqueeze(0)
     drawn, _ = net.sample(batch, draws, torch.full((count,), flat))
-    chance = chance_logp(batch, many(actions)) if flat else net.evaluate(batch, many(actions))[0]
+    chance = random_logp(batch, many(actions)) if flat else net.evaluate(batch, many(actions))[0]
     for action, p in zip(actions, chance[0].exp().tolist(), strict=True):
         same = (drawn.verb == action.verb) & (drawn.element == action.element)
         same &= (drawn.start == action.start) & (drawn.end == action.end)
@@ -123,7 +123,7 @@ def test_actions_are_drawn_as_often_as_they_are_likely(flat: bool, net: Policy) 
 
 @pytest.mark.parametrize("case", CASES, ids=IDS)
 def test_the_greedy_action_is_the_likeliest_pair_and_then_the_likeliest_words(
-    case: tuple[Page, Goal], net: Policy
+    case: tuple[Page, Goal], net: PolicyNet
 ) -> None:
     actions = legal_actions(*case)
     p = net.evaluate(batch_of(case), many(actions))[0][0].exp().tolist()
@@ -150,7 +150,7 @@ def test_the_probabilities_of_chance_sum_to_one_by_enumeration(case: tuple[Page,
     actions = many(legal_actions(*case))
     rows = [getattr(actions, name).expand(len(beside), -1) for name in ("verb", "element", "start", "end")]
     verb, element, start, end = rows
-    logp = chance_logp(beside, ActionBatch(verb=verb, element=element, start=start, end=end))[0]
+    logp = random_logp(beside, ActionBatch(verb=verb, element=element, start=start, end=end))[0]
     assert logp.exp().sum().item() == pytest.approx(1.0, abs=1e-5)
 
 
@@ -183,6 +183,6 @@ def test_what_is_beside_an_element_is_its_nearest_leaf_in_the_same_line() -> Non
 def test_a_net_may_read_a_box_with_its_label_alone(beside: bool) -> None:
     goal = Goal("Select Ok")
     torch.manual_seed(0)
-    encoder = Policy(vectors(), NetConfig(width=16, beside=beside, neighbours=False)).encoder
+    encoder = PolicyNet(vectors(), NetConfig(width=16, adjacent_elements=beside, element_attention=False)).encoder
     one, other = (encoder(batch_of((labels(*text), goal))).elements[0, 1] for text in (("Ok", "No"), ("No", "Ok")))
     assert torch.allclose(one, other, atol=1e-6) is not beside

@@ -9,7 +9,7 @@ import pytest
 
 from giirl_core.metrics import Metrics
 from giirl_core.processes import supervision
-from giirl_core.processes.supervision import CRASHES, PAUSE_MAX_S, Call, Gone, Member, Process, pause
+from giirl_core.processes.supervision import CRASHES, PAUSE_MAX_S, Call, Gone, Process, SupervisedProcess, pause
 
 
 class Clock:
@@ -40,7 +40,7 @@ class Answer:
 class Puppet:
     """A process that notes what is asked of it."""
 
-    found = False
+    reattached = False
 
     def __init__(self) -> None:
         self.calls: list[tuple[str, tuple[Any, ...]]] = []
@@ -62,7 +62,7 @@ class Stage:
         self.puppet, self.metrics = Puppet(), Metrics()
         self.run = Answer(open_=True)
         self.begun: list[int] = []
-        self.member = Member("actor-3", self.puppet, self._begin, self.metrics)
+        self.member = SupervisedProcess("actor-3", self.puppet, self._begin, self.metrics)
 
     def _begin(self, process: Process, restarts: int) -> Call:
         self.begun.append(restarts)
@@ -88,7 +88,7 @@ def stage(clock: Clock) -> Stage:
 def up(stage: Stage, clock: Clock) -> None:
     for _ in range(3):
         clock.now_s += PAUSE_MAX_S
-        stage.member.tend()
+        stage.member.poll()
 
 
 def test_a_process_is_begun_once_it_has_started_and_its_addresses_are_known(stage: Stage, clock: Clock) -> None:
@@ -102,11 +102,11 @@ def test_a_process_is_begun_once_it_has_started_and_its_addresses_are_known(stag
 def test_a_process_that_ended_is_begun_again_after_a_pause(stage: Stage, clock: Clock) -> None:
     up(stage, clock)
     stage.end("it fell over")
-    stage.member.tend()
-    stage.member.tend()  # up again, but not yet begun
+    stage.member.poll()
+    stage.member.poll()  # up again, but not yet begun
     assert stage.begun == [0]
     clock.now_s += 1.0
-    stage.member.tend()
+    stage.member.poll()
     assert stage.begun == [0, 1]
     assert stage.member.trouble == "it fell over"
     assert stage.metrics.registry.get_sample_value("giirl_worker_restarts_total", {"kind": "actor"}) == 1
@@ -124,8 +124,8 @@ def test_whoever_ends_at_once_again_and_again_is_given_up_with_the_reason(stage:
         assert stage.member.healthy
         up(stage, clock)
         stage.end("no such browser")
-        stage.member.tend()
-    assert stage.member.given_up == "no such browser"
+        stage.member.poll()
+    assert stage.member.quarantined == "no such browser"
     assert not stage.member.healthy
     up(stage, clock)
     assert len(stage.begun) == CRASHES
@@ -136,8 +136,8 @@ def test_ends_that_are_far_apart_are_no_crash_loop(stage: Stage, clock: Clock) -
         up(stage, clock)
         clock.now_s += 100.0
         stage.end("it fell over")
-        stage.member.tend()
-    assert not stage.member.given_up
+        stage.member.poll()
+    assert not stage.member.quarantined
 
 
 def test_a_process_that_hangs_is_killed_and_another_begun_in_its_place(stage: Stage, clock: Clock) -> None:
@@ -150,12 +150,12 @@ def test_a_process_that_hangs_is_killed_and_another_begun_in_its_place(stage: St
 
 def test_a_process_that_never_starts_is_killed_in_the_end(stage: Stage, clock: Clock) -> None:
     stage.puppet.answers["addresses"] = lambda: Answer(open_=True)
-    member = Member("actor-4", stage.puppet, stage._begin, stage.metrics)
+    member = SupervisedProcess("actor-4", stage.puppet, stage._begin, stage.metrics)
     clock.now_s += supervision.START_S - 1
-    member.tend()
+    member.poll()
     assert stage.puppet.kills == []
     clock.now_s += 2
-    member.tend()
+    member.poll()
     assert stage.puppet.kills == [True]
     assert "did not start" in member.trouble
 
@@ -163,14 +163,14 @@ def test_a_process_that_never_starts_is_killed_in_the_end(stage: Stage, clock: C
 def test_one_that_never_starts_again_and_again_is_given_up(stage: Stage, clock: Clock) -> None:
     for answer in (Answer(open_=True), Answer(trouble="no such image")):
         stage.puppet.answers["addresses"] = lambda answer=answer: answer  # type: ignore[misc]
-        member = Member("actor-4", stage.puppet, stage._begin, stage.metrics)
+        member = SupervisedProcess("actor-4", stage.puppet, stage._begin, stage.metrics)
         for _ in range(CRASHES):
             assert member.healthy
             clock.now_s += supervision.START_S + 1
-            member.tend()
+            member.poll()
         assert not member.healthy
-        assert "did not start" in member.given_up
-    assert "no such image" in member.given_up
+        assert "did not start" in member.quarantined
+    assert "no such image" in member.quarantined
 
 
 def test_one_that_runs_for_long_and_is_never_heard_is_given_up_in_the_end(stage: Stage, clock: Clock) -> None:
@@ -196,7 +196,7 @@ def test_how_long_weights_have_not_been_taken_is_known(stage: Stage, clock: Cloc
 def test_calls_that_a_platform_refuses_while_it_starts_a_process_are_repeated(stage: Stage, clock: Clock) -> None:
     refusals = [Answer(trouble="it restarts"), Answer(trouble="it restarts")]
     stage.puppet.answers["addresses"] = lambda: refusals.pop() if refusals else Answer(("m:2", ""))
-    stage.member = Member("actor-3", stage.puppet, stage._begin, stage.metrics)
+    stage.member = SupervisedProcess("actor-3", stage.puppet, stage._begin, stage.metrics)
     up(stage, clock)
     up(stage, clock)
     assert stage.member.addresses == ("m:2", "")
@@ -211,7 +211,7 @@ def test_of_weights_that_come_faster_than_they_are_taken_the_newest_arrive(stage
     for weights in ("w1", "w2", "w3"):
         stage.member.load(weights)
     loading.open = False
-    stage.member.tend()
+    stage.member.poll()
     assert [values for method, values in stage.puppet.calls if method == "load"][-1] == ("w3",)
     assert len([method for method, _ in stage.puppet.calls if method == "load"]) == 2
 

@@ -15,12 +15,12 @@ from gridcraft.planning import (
     draw_paths,
     expected_return,
     expected_reward,
-    fraction,
+    normalized_return,
+    occupancy,
     random_policy,
     solve,
     solve_horizon,
     steps_to,
-    visits,
 )
 from gridcraft.world import World, build_world, draw_starts, transitions, true_reward
 
@@ -90,7 +90,7 @@ def test_the_soft_policy_has_the_most_return_plus_entropy_of_all_that_were_tried
 
     def objective(pi: NDArray[np.float64]) -> float:
         entropy = -(pi * np.log(pi)).sum(axis=2)
-        at = visits(ROW, pi, horizon)
+        at = occupancy(ROW, pi, horizon)
         return expected_return(ROW, pi, reward, horizon=horizon) + temperature * float((at * entropy).sum())
 
     soft = solve_horizon(ROW, reward, temperature=temperature, horizon=horizon)
@@ -141,7 +141,7 @@ def test_visits_are_where_sampled_episodes_are() -> None:
     world = build_world([LAYOUTS["rooms"]], slip=0.1)
     pi, rng = policy(world), np.random.default_rng(0)
     paths = draw_paths(world, pi, draw_starts(world, 20_000, rng), rng, horizon=8)
-    exact = visits(world, pi, horizon=8)
+    exact = occupancy(world, pi, horizon=8)
     assert exact.sum(axis=1) == pytest.approx(1.0)
     for t in (0, 3, 7):
         seen = np.bincount(paths.states[:, t], minlength=len(world)) / 20_000
@@ -171,18 +171,18 @@ def test_an_action_without_probability_is_never_drawn() -> None:
 def test_the_fraction_is_one_for_the_best_and_nought_for_chance_and_linear_between() -> None:
     reward = true_reward(REGIONS, Pair("green", "red"))
     best, chance = solve_horizon(REGIONS, reward).pi, random_policy(REGIONS)
-    assert fraction(REGIONS, best, reward) == pytest.approx(1.0)
-    assert fraction(REGIONS, chance, reward) == pytest.approx(0.0)
-    assert fraction(REGIONS, solve(REGIONS, -reward).pi, reward) < -0.01
+    assert normalized_return(REGIONS, best, reward) == pytest.approx(1.0)
+    assert normalized_return(REGIONS, chance, reward) == pytest.approx(0.0)
+    assert normalized_return(REGIONS, solve(REGIONS, -reward).pi, reward) < -0.01
     some = policy(REGIONS)
     spans = [expected_return(REGIONS, pi, reward) for pi in (some, best, chance)]
-    assert fraction(REGIONS, some, reward) == pytest.approx((spans[0] - spans[2]) / (spans[1] - spans[2]))
+    assert normalized_return(REGIONS, some, reward) == pytest.approx((spans[0] - spans[2]) / (spans[1] - spans[2]))
 
 
 @pytest.mark.parametrize("pair", [Pair("red", "blue"), Pair("blue", "green")], ids=str)
 def test_the_soft_expert_is_all_but_optimal_within_the_horizon(pair: Pair) -> None:
     reward = true_reward(REGIONS, pair)
-    assert 0.999 < fraction(REGIONS, solve(REGIONS, reward, temperature=0.1).pi, reward) < 1.0
+    assert 0.999 < normalized_return(REGIONS, solve(REGIONS, reward, temperature=0.1).pi, reward) < 1.0
 
 
 def test_steps_to_a_colour_go_around_walls_and_are_infinite_from_another_layout() -> None:
@@ -196,12 +196,12 @@ def test_tables_of_the_wrong_form_are_refused_with_both_shapes() -> None:
     with pytest.raises(ValueError, match="not finite"):
         solve(ROW, np.full((4, 5), np.nan))
     with pytest.raises(ValueError, match="do not add up"):
-        visits(ROW, np.zeros((4, 5)))
+        occupancy(ROW, np.zeros((4, 5)))
     with pytest.raises(ValueError, match="policy for 7 steps"):
-        visits(ROW, np.full((6, 4, 5), 0.2), horizon=7)
+        occupancy(ROW, np.full((6, 4, 5), 0.2), horizon=7)
     with pytest.raises(ValueError, match="not 1"):
         solve(ROW, TO_RED, discount=1.0)
     with pytest.raises(ValueError, match="temperature"):
         solve(ROW, TO_RED, temperature=-0.1)
     with pytest.raises(ValueError, match="one to gain by"):
-        fraction(ROW, random_policy(ROW), np.ones((4, 5)))
+        normalized_return(ROW, random_policy(ROW), np.ones((4, 5)))

@@ -21,7 +21,6 @@ from gridcraft.reward_metrics import (
     avoid_time,
     canonical,
     entering_mean,
-    entering_rate,
     epic_distance,
     matched_avoid_rank,
     pearson,
@@ -32,6 +31,7 @@ from gridcraft.reward_metrics import (
     spearman,
     state_mean,
     value_correlation,
+    violation_rate,
 )
 from gridcraft.world import build_world, true_reward
 
@@ -196,11 +196,11 @@ def test_the_time_on_the_avoided_colour_and_the_rate_of_entering_are_exact() -> 
     world = build_world([Layout.draw("row", ".BR")])
     right = np.zeros((3, 5))
     right[:, 3] = 1
-    assert entering_rate(world, right, RED_NOT_BLUE, horizon=4) == pytest.approx(1)
+    assert violation_rate(world, right, RED_NOT_BLUE, horizon=4) == pytest.approx(1)
     assert avoid_time(world, right, RED_NOT_BLUE, horizon=4) == pytest.approx(1 / 4)
-    assert entering_rate(world, right, RED_NOT_BLUE, horizon=1) == 0
+    assert violation_rate(world, right, RED_NOT_BLUE, horizon=1) == 0
     # Chance enters with 1/5 a step; the last of four actions is taken where three steps led.
-    assert entering_rate(world, random_policy(world), RED_NOT_BLUE, horizon=4) == pytest.approx(1 - 0.8**3)
+    assert violation_rate(world, random_policy(world), RED_NOT_BLUE, horizon=4) == pytest.approx(1 - 0.8**3)
 
 
 @pytest.mark.parametrize("slip", [0.0, 0.2])
@@ -209,5 +209,5 @@ def test_the_rate_of_entering_is_that_of_sampled_episodes(slip: float) -> None:
     pi, rng = random_policy(world), np.random.default_rng(0)
     starts = rng.choice(len(world), size=20_000, p=world.start)
     on_blue = world.colour[draw_paths(world, pi, starts, rng, horizon=12).states[:, :-1]] == 3
-    assert entering_rate(world, pi, RED_NOT_BLUE, 12) == pytest.approx(on_blue.any(axis=1).mean(), abs=0.015)
+    assert violation_rate(world, pi, RED_NOT_BLUE, 12) == pytest.approx(on_blue.any(axis=1).mean(), abs=0.015)
     assert avoid_time(world, pi, RED_NOT_BLUE, 12) == pytest.approx(on_blue.mean(), abs=0.01)

@@ -11,7 +11,16 @@ from hypothesis import strategies as st
 
 from gridcraft.instructions import Pair
 from gridcraft.layouts import COLOURS, LAYOUTS, WALL, Layout, named_layout, random_layout, reachable_cleanly
-from gridcraft.world import ACTIONS, build_world, draw_starts, expect, observations, step, transitions, true_reward
+from gridcraft.world import (
+    ACTIONS,
+    build_world,
+    draw_starts,
+    expected_value,
+    observations,
+    step,
+    transitions,
+    true_reward,
+)
 
 SMALL = Layout.draw("small", "R.# ... .BG")
 UP, DOWN, LEFT, RIGHT, STAY = range(len(ACTIONS))
@@ -128,7 +137,7 @@ def test_transitions_are_probabilities_and_expect_is_their_mean(slip: float) -> 
     table, value = transitions(world), np.random.default_rng(0).normal(size=len(world))
     assert table.sum(axis=2) == pytest.approx(1.0)
     assert (table >= 0).all()
-    assert expect(world, value) == pytest.approx(table @ value)
+    assert expected_value(world, value) == pytest.approx(table @ value)
 
 
 def test_agents_that_slip_go_where_the_transitions_say() -> None:

@@ -10,14 +10,14 @@ from giirl_core.wire import messages as wire
 from giirl_core.wire.delivery import Before, Grant, Notice
 from giirl_core.wire.messages import Stamp
 from learner.stream.admission import Admission, IngestLimits
-from learner.stream.snapshot import Held
+from learner.stream.snapshot import IngestSnapshot
 from tests.giirl_core.wire_examples import episode
 
 
 class Learner:
     """An admission with a clock of versions, and the words to talk to it."""
 
-    def __init__(self, *, held: Held | None = None, held_out: float = 0.0, **limits: int) -> None:
+    def __init__(self, *, held: IngestSnapshot | None = None, held_out: float = 0.0, **limits: int) -> None:
         self.version = 3
         self.metrics = Metrics()
         self._notices = 0
@@ -27,7 +27,7 @@ class Learner:
             reward_version=lambda: self.version,
             limits=IngestLimits(**{"max_lag": 8, **limits}),
             metrics=self.metrics,
-            held=held or Held(),
+            held=held or IngestSnapshot(),
             held_out=held_out,
         )
 
@@ -72,7 +72,7 @@ class Learner:
         return self._said(actor, wire.encode_episode(sent, stamp=stamp))
 
     def _said(self, actor: str, message: bytes) -> str:
-        answer = self.books.hear(actor.encode(), message)
+        answer = self.books.receive(actor.encode(), message)
         if answer is None:
             return ""
         header, _ = wire.decode(answer)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from actors.agents import ExpertChooser
+from actors.agents import ExpertAgent
 from actors.rollouts import Schedule, play
 from browser_farm.experts import expert
 from browser_farm.fake import TASKS, FakeFarm
@@ -15,7 +15,7 @@ from giirl_core.config import NetConfig
 from giirl_core.metrics import Metrics
 from giirl_core.nets.features import Batch, collate, featurise
 from giirl_core.nets.language import Vectors, load_vectors
-from giirl_core.nets.models import Policy, RewardNet
+from giirl_core.nets.models import PolicyNet, RewardNet
 from giirl_core.types import Action, Episode, Goal, Page, Purpose, Trajectory, Verb
 
 WIDTH = 16
@@ -58,10 +58,10 @@ def batch_of(*cases: tuple[Page, Goal]) -> Batch:
     return collate([featurise(shown, goal, vectors()) for shown, goal in cases])
 
 
-def policy(seed: int = 0) -> Policy:
+def policy(seed: int = 0) -> PolicyNet:
     """An untrained policy."""
     torch.manual_seed(seed)
-    return Policy(vectors(), NetConfig(width=WIDTH))
+    return PolicyNet(vectors(), NetConfig(width=WIDTH))
 
 
 def reward_net(seed: int = 0) -> RewardNet:
@@ -103,5 +103,5 @@ def expert_episodes(per_task: int, tasks: Sequence[str] = tuple(TASKS), tabs: in
     """What the scripted experts do in the fake browser."""
     browser = FakeFarm(tabs=tabs)
     schedule = Schedule(tasks, tabs, purpose=Purpose.DEMONSTRATE, run_seed=0, quota=per_task)
-    rounds = play(browser, ExpertChooser(expert), schedule, step_limit=10, metrics=Metrics())
+    rounds = play(browser, ExpertAgent(expert), schedule, step_limit=10, metrics=Metrics())
     return [episode for ended in rounds for episode in ended]

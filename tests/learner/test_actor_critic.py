@@ -14,7 +14,7 @@ from giirl_core.metrics import Metrics
 from giirl_core.nets.features import ActionBatch, Batch
 from giirl_core.types import Action, Goal, Verb
 from learner.actor_critic import ActorCritic
-from learner.data import Example, collate_steps, pad, steps_of, study
+from learner.data import Example, collate_steps, featurise_trajectory, pad, steps_of
 from tests.learner.samples import FLAT, SHORT, legal_actions, policy, trajectory, vectors
 
 GOAL = "Type ok."
@@ -35,7 +35,7 @@ def fond(batch: Batch, actions: ActionBatch) -> Tensor:
 def one_step(action: Action, logp: float = 0.0) -> Example:
     """A rollout that did one thing on the short page."""
     done = trajectory(GOAL, [SHORT], [action])
-    return study(replace(done, behaviour_logp=np.array([logp], dtype=np.float32)), vectors())
+    return featurise_trajectory(replace(done, behaviour_logp=np.array([logp], dtype=np.float32)), vectors())
 
 
 def likelihoods(learner: ActorCritic, actions: list[Action]) -> list[float]:
@@ -47,9 +47,9 @@ def likelihoods(learner: ActorCritic, actions: list[Action]) -> list[float]:
 
 
 def test_the_soft_optimal_choice_among_many_asked_is_that_of_the_enumeration() -> None:
-    learner = critic(asked=3_000, entropy=ALPHA)
+    learner = critic(sampled_actions=3_000, entropy=ALPHA)
     batch, taken = collate_steps(steps_of([one_step(Action(verb=Verb.CLICK, element=0))]))
-    joined, target = learner._ask(batch, taken, fond)
+    joined, target = learner._sample_targets(batch, taken, fond)
     assert joined.element.shape == (1, 3_001)
     assert target.sum().item() == pytest.approx(1.0, abs=1e-4)
     actions = legal_actions(SHORT, Goal(GOAL))
@@ -62,31 +62,31 @@ def test_the_soft_optimal_choice_among_many_asked_is_that_of_the_enumeration() -
 
 
 def test_half_of_what_is_asked_is_chance_so_that_nothing_stays_unasked() -> None:
-    learner = critic(asked=400)
+    learner = critic(sampled_actions=400)
     with torch.no_grad():  # a policy that is sure to click
         learner.net.act[2].bias.copy_(torch.tensor([20.0, -20.0]))  # type: ignore[operator]
     batch, taken = collate_steps(steps_of([one_step(Action(verb=Verb.CLICK, element=0))]))
-    joined, _ = learner._ask(batch, taken, fond)
+    joined, _ = learner._sample_targets(batch, taken, fond)
     verbs = joined.verb[0, 1:]
     assert not verbs[0::2].any()
     assert 0.2 < verbs[1::2].float().mean() < 0.5  # two leaves to click, one field to type into
 
 
 def test_a_policy_that_never_saw_a_good_action_learns_it_by_asking() -> None:
-    learner = critic(taken=0.0, learning_rate=0.01)
+    learner = critic(vtrace_weight=0.0, learning_rate=0.01)
     bad, good = Action(verb=Verb.CLICK, element=1), Action(verb=Verb.TYPE, element=1, start=1, end=1)
 
-    def ask(batch: Batch, actions: ActionBatch) -> Tensor:
+    def reward_fn(batch: Batch, actions: ActionBatch) -> Tensor:
         right = (actions.verb == good.verb) & (actions.start == good.start) & (actions.end == good.end)
         return torch.where(right, 2.0, -2.0)
 
     for _ in range(40):
-        learner.update([one_step(bad)], [torch.zeros(1)], ask)
+        learner.update([one_step(bad)], [torch.zeros(1)], reward_fn)
     assert likelihoods(learner, [good])[0] > 0.8
 
 
 def test_actions_taken_become_likelier_when_they_pay_and_rarer_when_they_cost() -> None:
-    learner = critic(asked=0, entropy=1e-6, learning_rate=0.01, value=0.0)
+    learner = critic(sampled_actions=0, entropy=1e-6, learning_rate=0.01, value_loss_weight=0.0)
     paid, cost = Action(verb=Verb.CLICK, element=0), Action(verb=Verb.CLICK, element=1)
     before = likelihoods(learner, [paid, cost])
     rollouts = [one_step(action, float(np.log(p))) for action, p in zip([paid, cost], before, strict=True)]
@@ -98,9 +98,9 @@ def test_actions_taken_become_likelier_when_they_pay_and_rarer_when_they_cost() 
 
 
 def test_the_value_learns_the_discounted_reward_to_come() -> None:
-    learner = critic(asked=0, taken=0.0, entropy=1e-6, learning_rate=0.01, gamma=0.5)
+    learner = critic(sampled_actions=0, vtrace_weight=0.0, entropy=1e-6, learning_rate=0.01, gamma=0.5)
     action = Action(verb=Verb.CLICK, element=0)
-    done = study(trajectory(GOAL, [SHORT, FLAT], [action, action]), vectors())
+    done = featurise_trajectory(trajectory(GOAL, [SHORT, FLAT], [action, action]), vectors())
     batch, together = collate_steps(steps_of([done]))
     for _ in range(120):
         with torch.no_grad():
@@ -114,7 +114,7 @@ def test_the_value_learns_the_discounted_reward_to_come() -> None:
 
 def test_an_update_with_rollouts_of_different_lengths_reports_the_mean_pay_of_an_episode() -> None:
     action = Action(verb=Verb.CLICK, element=0)
-    long = study(trajectory(GOAL, [SHORT, FLAT, SHORT], [action] * 3), vectors())
+    long = featurise_trajectory(trajectory(GOAL, [SHORT, FLAT, SHORT], [action] * 3), vectors())
     stats = critic().update([one_step(action), long], [torch.tensor([2.0]), torch.tensor([1.0, 1.0, 4.0])], fond)
     assert stats["p_reward"] == pytest.approx(4.0)
     assert all(np.isfinite(value) for value in stats.values())

@@ -15,10 +15,10 @@ def test_a_checkpoint_brings_back_what_was_held_and_refuses_what_was_judged() ->
     learner.seeds(1)
     held = learner.books.snapshot()
     resumed = Learner(held=held)
-    assert resumed.episode(1) == "who"
+    assert resumed.episode(1) == "unknown_actor"
     resumed.hello()
     grant = resumed.grant()
-    assert (grant.floor, grant.judged, grant.committed) == (2, (3,), 2)
+    assert (grant.low_watermark, grant.acked, grant.committed) == (2, (3,), 2)
     for sequence in (0, 1, 2, 3):
         resumed.episode(sequence)
     assert resumed.seeds(3) == [1, 3, 2]
@@ -46,7 +46,7 @@ def test_episodes_an_actor_no_longer_has_and_nobody_saw_are_counted_as_lost() ->
     learner.episode(1)
     learner.hello(4)
     assert learner.dropped("lost") == 3  # 0, 2 and 3
-    assert learner.grant().floor == 4
+    assert learner.grant().low_watermark == 4
     learner.hello(2**40)  # in one stride
     assert learner.dropped("lost") == 3 + 2**40 - 4
 
@@ -101,7 +101,7 @@ def test_an_actor_that_keeps_too_much_asks_for_a_checkpoint_that_frees_it() -> N
     learner.hello(full=True)
     assert not learner.books.wants_commit  # none would help
     learner.episode(0)
-    learner.notice(delivery.BEAT, full=True, finished=1)
+    learner.notice(delivery.HEARTBEAT, full=True, finished=1)
     assert learner.books.wants_commit
     learner.books.commit(learner.books.snapshot())
     assert not learner.books.wants_commit
@@ -111,9 +111,9 @@ def test_an_actor_that_is_gone_for_good_leaves_nothing_unaccounted_and_may_be_re
     learner = Learner()
     learner.hello(finished=4)
     learner.episode(0)
-    learner.books.bury("a", ((0, 5),))  # by its own count; the learner knew of four
+    learner.books.retire("a", ((0, 5),))  # by its own count; the learner knew of four
     assert learner.dropped("lost") == 4
-    learner.books.bury("a", ((0, 5),))
+    learner.books.retire("a", ((0, 5),))
     assert learner.dropped("lost") == 4  # once
     assert learner.seeds(1) == [0]  # what had come is used
     learner.hello(incarnation=1, before=((0, 5),))
@@ -124,21 +124,21 @@ def test_an_actor_that_is_gone_for_good_leaves_nothing_unaccounted_and_may_be_re
 
 def test_of_an_actor_that_was_never_heard_its_own_count_is_lost() -> None:
     learner = Learner()
-    learner.books.bury("a", ())
+    learner.books.retire("a", ())
     assert learner.books.snapshot().marks == ()
-    learner.books.bury("a", ((3, 2), (4, 1)))
+    learner.books.retire("a", ((3, 2), (4, 1)))
     assert learner.dropped("lost") == 3
     (mark,) = learner.books.snapshot().marks
-    assert (mark.incarnation, mark.floor, mark.finished) == (4, 1, 1)
+    assert (mark.incarnation, mark.low_watermark, mark.finished) == (4, 1, 1)
 
 
 def test_one_that_comes_back_from_the_grave_has_nothing_trained_on_twice() -> None:
     learner = Learner()
     learner.hello(finished=2)
-    learner.books.bury("a", ((0, 2),))
-    assert learner.episode(1) == "who"
+    learner.books.retire("a", ((0, 2),))
+    assert learner.episode(1) == "unknown_actor"
     learner.hello(finished=2)
-    assert learner.grant().floor == 2
+    assert learner.grant().low_watermark == 2
     learner.episode(1)
     assert learner.dropped("duplicate") == 1
     assert learner.dropped("lost") == 2

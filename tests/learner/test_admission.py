@@ -35,7 +35,7 @@ def test_whatever_the_order_and_however_often_each_episode_is_taken_once(arrival
     for sequence in arrivals:
         learner.episode(sequence)
     assert sorted(learner.seeds(4)) == [0, 1, 2, 3]
-    assert learner.grant().floor == 4
+    assert learner.grant().low_watermark == 4
     assert learner.dropped("duplicate") == 5
     assert learner.count("received") == 9
 
@@ -61,18 +61,18 @@ def test_a_gap_holds_the_floor_but_not_the_credits() -> None:
     learner.episode(1)
     learner.seeds(1)
     grant = learner.grant()
-    assert (grant.floor, grant.judged, grant.limit) == (0, (1,), 3)
+    assert (grant.low_watermark, grant.acked, grant.limit) == (0, (1,), 3)
     learner.episode(0)
-    assert (learner.grant().floor, learner.seeds(1)) == (2, [0])
+    assert (learner.grant().low_watermark, learner.seeds(1)) == (2, [0])
 
 
 def test_an_actor_that_did_not_say_hello_is_asked_who_it_is_and_loses_nothing() -> None:
     learner = Learner()
-    assert learner.episode(0) == "who"
+    assert learner.episode(0) == "unknown_actor"
     assert learner.count("received") == 0
     learner.hello()
     assert learner.episode(0) == ""
-    assert learner.episode(0, incarnation=1) == "who"
+    assert learner.episode(0, incarnation=1) == "unknown_actor"
     assert learner.seeds(1) == [0]
 
 
@@ -105,7 +105,7 @@ def test_an_episode_too_many_versions_away_is_dropped_on_arrival(version: int, t
     learner.episode(0, policy_version=3)
     assert len(learner.seeds(1)) == taken
     assert learner.dropped("stale") == 1 - taken
-    assert learner.grant().floor == 1  # judged: the actor need not keep it
+    assert learner.grant().low_watermark == 1  # judged: the actor need not keep it
 
 
 def test_an_episode_that_grows_stale_in_the_queue_is_dropped_there_and_frees_its_credit() -> None:
@@ -172,7 +172,7 @@ def test_malformed_messages_are_counted_and_forgotten() -> None:
     learner = Learner()
     learner.hello()
     for message in (b"", b"junk", wire.encode({"kind": "episode"}), b"GIRL" * 9):
-        assert learner.books.hear(b"a", message) is None
+        assert learner.books.receive(b"a", message) is None
     assert learner.dropped("damaged") == 4
     assert learner.episode(0) == ""
     assert learner.seeds(1) == [0]
@@ -183,11 +183,11 @@ def test_a_whole_message_with_an_impossible_episode_is_judged_invalid_and_not_as
     learner.hello()
     stamp = Stamp(run="run", actor="a", incarnation=0, sequence=0)
     header, arrays = wire.decode(wire.encode_episode(episode(1), stamp=stamp))
-    learner.books.hear(b"a", wire.encode(header, {**arrays, "element": np.array([77], np.int32)}))
+    learner.books.receive(b"a", wire.encode(header, {**arrays, "element": np.array([77], np.int32)}))
     learner.episode(1, policy_version=-1)  # a demonstration is no rollout
     assert learner.books.pull(1) is None
     assert learner.dropped("invalid") == 2
-    assert learner.grant().floor == 2
+    assert learner.grant().low_watermark == 2
     assert learner.books.queued == 0
 
 
@@ -224,9 +224,11 @@ def test_limits_that_let_nothing_in_are_refused() -> None:
 
 def test_a_grant_that_lacks_a_number_is_a_wire_error() -> None:
     whole, _ = wire.decode(
-        delivery.encode_grant(Grant(incarnation=1, notice=7, floor=2, committed=0, settled=1, limit=5))
+        delivery.encode_grant(Grant(incarnation=1, notice=7, low_watermark=2, committed=0, settled=1, limit=5))
     )
-    assert delivery.read_grant(whole) == Grant(incarnation=1, notice=7, floor=2, committed=0, settled=1, limit=5)
+    assert delivery.read_grant(whole) == Grant(
+        incarnation=1, notice=7, low_watermark=2, committed=0, settled=1, limit=5
+    )
     for name in set(whole) - {"kind"}:
         with pytest.raises(WireError, match=name):
             delivery.read_grant({**whole, name: "1"})
@@ -234,7 +236,7 @@ def test_a_grant_that_lacks_a_number_is_a_wire_error() -> None:
 
 def test_a_notice_that_lacks_something_or_says_the_impossible_is_a_wire_error() -> None:
     stamp = Stamp(run="run", actor="a", incarnation=2, sequence=1)
-    notice = Notice(kind=delivery.BEAT, stamp=stamp, number=3, finished=4, full=True, before=((0, 5), (1, 0)))
+    notice = Notice(kind=delivery.HEARTBEAT, stamp=stamp, number=3, finished=4, full=True, before=((0, 5), (1, 0)))
     whole, _ = wire.decode(delivery.encode_notice(notice))
     assert delivery.read_notice(whole, stamp) == notice
     wrong: list[dict[str, Any]] = [{name: None} for name in ("number", "finished", "full", "before")]

@@ -22,7 +22,7 @@ from tests.learner.samples import expert_episodes, policy, reward_net
 SMALL = Config(
     net=NetConfig(width=16, vectors="hashed"),
     discriminator=DiscriminatorConfig(batch=16, replay_size=6, updates=1),
-    policy=PolicyConfig(asked=4),
+    policy=PolicyConfig(sampled_actions=4),
 )
 
 
@@ -48,20 +48,20 @@ class Recorder:
 def test_algorithm_1_trains_the_reward_first_and_the_policy_on_that_reward_alone() -> None:
     log = Recorder()
     learner: Any = SimpleNamespace(
-        study=log.part("study"),
+        featurise=log.part("featurise"),
         demos=SimpleNamespace(sample=log.part("expert")),
-        discriminator=SimpleNamespace(update=log.part("d_update"), rewards=log.part("rewards"), ask="ask"),
+        discriminator=SimpleNamespace(update=log.part("d_update"), rewards=log.part("rewards"), reward_fn="reward_fn"),
         policy=SimpleNamespace(update=log.part("p_update"), net="net"),
     )
     source: Any = SimpleNamespace(take=log.part("take"))
     giirl(SMALL, learner, source, range(3, 4), log.part("observe"))
     assert log.calls == [
         ("take", SMALL.rollout_batch),
-        ("study", "take"),
+        ("featurise", "take"),
         ("expert", SMALL.discriminator.batch),
-        ("d_update", "expert", "study", "net"),
-        ("rewards", "study", 4),
-        ("p_update", "study", "rewards", "ask"),
+        ("d_update", "expert", "featurise", "net"),
+        ("rewards", "featurise", 4),
+        ("p_update", "featurise", "rewards", "reward_fn"),
         ("observe", 3, {"d_update": 1.0, "p_update": 1.0}),
     ]
 
@@ -93,7 +93,7 @@ def test_a_restored_learner_goes_on_as_the_saved_one_would(demonstrations: list[
 
 
 @pytest.mark.parametrize(
-    "lost", ["draw", "noise", "replay_seen", "policy_optimiser.safetensors", "reward_optimiser.safetensors"]
+    "lost", ["rng", "generator", "replay_seen", "policy_optimiser.safetensors", "reward_optimiser.safetensors"]
 )
 def test_nothing_that_is_saved_could_be_left_out(
     lost: str, demonstrations: list[Trajectory], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -14,14 +14,13 @@ from giirl_core.config import CloningConfig, Config, DiscriminatorConfig, NetCon
 from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
 from giirl_core.nets.features import Batch, rename
-from giirl_core.nets.models import Policy
+from giirl_core.nets.models import PolicyNet
 from giirl_core.nets.reward import RewardModel, episode_rewards
 from giirl_core.types import Action, Goal, Verb
 from learner.algorithms import ALGORITHMS
-from learner.data import Replay, collate_steps, last_step, steps_of, study
+from learner.data import Replay, collate_steps, featurise_trajectory, last_step, steps_of
 from learner.discriminator import Discriminator
 from learner.learner import Learner
-from learner.losses import iq_loss, sqil_loss, trimmed
 from learner.soft_q import SoftQ
 from tests.learner.samples import (
     FLAT,
@@ -40,27 +39,6 @@ GOAL = "Type ok."
 RIGHT = Action(verb=Verb.TYPE, element=1, start=1, end=1)
 
 
-def test_sqil_pays_one_for_the_expert_and_nothing_for_the_policy() -> None:
-    expert, rollouts = torch.tensor([0.5, 2.0]), torch.tensor([0.25, -1.0, 0.0])
-    naive = (0.25 + 1.0) / 2 + (0.0625 + 1.0 + 0.0) / 3
-    assert sqil_loss(expert, rollouts).item() == pytest.approx(naive)
-    assert sqil_loss(torch.ones(3), torch.zeros(5)).item() == 0.0
-
-
-def test_iq_learn_has_its_optimum_where_the_expert_goes_and_nobody_else() -> None:
-    expert, rollouts = torch.tensor([0.3, -0.2]), torch.tensor([0.1])
-    drop = torch.tensor([0.5, 0.7, 0.9])
-    naive = (0.5 + 0.7 + 0.9) / 3 - (0.3 - 0.2) / 2 + (0.09 + 0.04 + 0.01) / 3 / (4 * 0.5)
-    assert iq_loss(expert, rollouts, drop, 0.5).item() == pytest.approx(naive)
-
-
-def test_trimming_takes_the_highest_share_away() -> None:
-    logits = torch.tensor([3.0, -1.0, 2.0, 0.0])
-    assert sorted(trimmed(logits, 0.25).tolist()) == [-1.0, 0.0, 2.0]
-    assert torch.equal(trimmed(logits, 0.0), logits)
-    assert torch.equal(trimmed(logits, 0.2), logits)  # less than one of four
-
-
 def test_a_goal_reward_pays_for_how_an_episode_ends_and_for_nothing_before() -> None:
     logits = torch.tensor([4.0, -1.0, 2.0, 3.0, -2.0])
     parts = episode_rewards(logits, [3, 2], "goal", 5.0)
@@ -71,19 +49,17 @@ def test_a_goal_reward_pays_for_how_an_episode_ends_and_for_nothing_before() -> 
 def test_a_discriminator_of_ends_is_shown_last_steps_only(monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[Any] = []
 
-    def remember(example: Any, draw: Any) -> Any:
+    def remember(example: Any, rng: Any) -> Any:
         shown.append(example)
-        return last_step(example, draw)
+        return last_step(example, rng)
 
     monkeypatch.setattr("learner.discriminator.last_step", remember)
-    config = replace(DiscriminatorConfig(), judges="ends", batch=4, rollouts=1.0, replay=1.0)
-    draw = np.random.default_rng(0)
+    config = replace(DiscriminatorConfig(), train_on="final_steps", batch=4, rollouts=1.0, replay=1.0)
+    rng = np.random.default_rng(0)
     demos: Any = SimpleNamespace(wrong_goals=lambda expert: [])
     model: Any = SimpleNamespace(net=torch.nn.Linear(1, 1))
-    judge = Discriminator(
-        config, model, demos, Replay(4, draw), draw, torch.Generator(), reward_lag=1, metrics=Metrics()
-    )
-    long = study(trajectory(GOAL, [SHORT, FLAT], [RIGHT, Action(verb=Verb.CLICK, element=0)]), vectors())
+    judge = Discriminator(config, model, demos, Replay(4, rng), rng, torch.Generator(), reward_lag=1, metrics=Metrics())
+    long = featurise_trajectory(trajectory(GOAL, [SHORT, FLAT], [RIGHT, Action(verb=Verb.CLICK, element=0)]), vectors())
     judge.replay.add([long])
     sources = judge._sources([long], [long], policy())
     assert len(shown) == 3 * 4  # experts, rollouts, replay
@@ -91,25 +67,25 @@ def test_a_discriminator_of_ends_is_shown_last_steps_only(monkeypatch: pytest.Mo
 
 
 def judging(config: DiscriminatorConfig) -> Discriminator:
-    draw, noise = np.random.default_rng(0), torch.Generator().manual_seed(0)
+    rng, noise = np.random.default_rng(0), torch.Generator().manual_seed(0)
     demos: Any = SimpleNamespace(wrong_goals=lambda expert: [])
     model = RewardModel(reward_net(), vectors(), "logit", 100.0)
-    return Discriminator(config, model, demos, Replay(4, draw), draw, noise, reward_lag=1, metrics=Metrics())
+    return Discriminator(config, model, demos, Replay(4, rng), rng, noise, reward_lag=1, metrics=Metrics())
 
 
 def imitator(form: str) -> SoftQ:
-    draw = np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     torch.manual_seed(0)
     config = SoftQConfig(updates=8, batch=16, learning_rate=3e-3)
-    return SoftQ(config, form, policy(), Replay(100, draw), draw, torch.Generator(), metrics=Metrics())
+    return SoftQ(config, form, policy(), Replay(100, rng), rng, torch.Generator(), metrics=Metrics())
 
 
 @pytest.mark.parametrize("form", ["sqil", "iq_learn"])
 def test_soft_q_learning_does_what_experts_do_and_values_it_as_the_rule_says(form: str) -> None:
     learner = imitator(form)
-    right = study(trajectory(GOAL, [SHORT], [RIGHT]), vectors())
+    right = featurise_trajectory(trajectory(GOAL, [SHORT], [RIGHT]), vectors())
     others = [a for a in legal_actions(SHORT, Goal(GOAL)) if a != RIGHT]
-    wrong = [study(trajectory(GOAL, [SHORT], [action]), vectors()) for action in others]
+    wrong = [featurise_trajectory(trajectory(GOAL, [SHORT], [action]), vectors()) for action in others]
     for _ in range(25):
         stats = learner.update([right], wrong)
     with torch.no_grad():
@@ -124,15 +100,15 @@ def test_soft_q_learning_does_what_experts_do_and_values_it_as_the_rule_says(for
 @pytest.mark.parametrize("form", ["sqil", "iq_learn"])
 def test_the_value_ahead_is_that_of_the_following_page_and_nothing_after_the_end(form: str) -> None:
     learner = imitator(form)
-    two = study(trajectory(GOAL, [SHORT, FLAT], [RIGHT, Action(verb=Verb.CLICK, element=0)]), vectors())
+    two = featurise_trajectory(trajectory(GOAL, [SHORT, FLAT], [RIGHT, Action(verb=Verb.CLICK, element=0)]), vectors())
     first, second = steps_of([two])
     batch, _ = collate_steps([second, first])
     ahead = learner._values_ahead(batch, torch.tensor([True, False]))
-    assert ahead.tolist() == [pytest.approx(learner.net.worth(batch)[0].item()), 0.0]
+    assert ahead.tolist() == [pytest.approx(learner.net.value_of(batch)[0].item()), 0.0]
     assert ahead.requires_grad is (form == "iq_learn")
     learner.update([two], [two])
     later = learner._values_ahead(batch, torch.tensor([True, False]))
-    now, slow = (net.worth(batch)[0].item() for net in (learner.net, learner.target))
+    now, slow = (net.value_of(batch)[0].item() for net in (learner.net, learner.target))
     assert later[0].item() == pytest.approx(slow)
     moved, followed = abs(now - ahead[0].item()), abs(slow - ahead[0].item())
     assert 0 < followed < moved if form == "sqil" else followed == moved > 0  # SQIL's target follows slowly
@@ -147,7 +123,7 @@ def test_both_pages_of_a_transition_are_renamed_alike(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr("learner.soft_q.rename", watch)
     learner = imitator("sqil")
-    twice = study(trajectory(GOAL, [SHORT, SHORT], [RIGHT, RIGHT]), vectors())
+    twice = featurise_trajectory(trajectory(GOAL, [SHORT, SHORT], [RIGHT, RIGHT]), vectors())
     learner.update([twice], [twice])
     now, later = renamed[:2]
     assert torch.equal(now.token_words, later.token_words)
@@ -156,8 +132,8 @@ def test_both_pages_of_a_transition_are_renamed_alike(monkeypatch: pytest.Monkey
 
 
 def test_the_accuracy_of_late_is_of_both_sides_and_moves_slowly() -> None:
-    judge = judging(DiscriminatorConfig(rename=0.0))
-    long = study(trajectory(GOAL, [SHORT], [RIGHT]), vectors())
+    judge = judging(DiscriminatorConfig(rename_prob=0.0))
+    long = featurise_trajectory(trajectory(GOAL, [SHORT], [RIGHT]), vectors())
     before = judge.accuracy
     stats = judge.update([long], [long], policy())
     both = (stats["d_accuracy_expert"] + stats["d_accuracy_rollouts"]) / 2
@@ -171,9 +147,9 @@ class Recorder:
     def __init__(self) -> None:
         self.calls: list[str] = []
         part = self._part
-        self.study, self.told = part("study"), part("told")
+        self.featurise, self.carried_rewards = part("featurise"), part("carried_rewards")
         self.demos = SimpleNamespace(sample=part("expert"))
-        self.discriminator = SimpleNamespace(update=part("d_update"), rewards=part("rewards"), ask="ask")
+        self.discriminator = SimpleNamespace(update=part("d_update"), rewards=part("rewards"), reward_fn="reward_fn")
         self.policy = SimpleNamespace(update=part("p_update"), net="net")
         self.cloner = SimpleNamespace(update=part("clone"))
         self.soft_q = SimpleNamespace(update=part("soft_q"))
@@ -189,10 +165,20 @@ class Recorder:
 @pytest.mark.parametrize(
     ("algorithm", "calls"),
     [
-        ("frozen", ["study(take)", "rewards(study)", "p_update(study, rewards, ask)"]),
-        ("true_reward", ["study(take)", "told(study)", "p_update(study, told, None)"]),
-        ("sqil", ["study(take)", "expert(64)", "soft_q(expert, study)"]),
-        ("iq_learn", ["study(take)", "expert(64)", "soft_q(expert, study)"]),
+        (
+            "frozen",
+            [
+                "featurise(take)",
+                "rewards(featurise)",
+                "p_update(featurise, rewards, reward_fn)",
+            ],
+        ),
+        (
+            "true_reward",
+            ["featurise(take)", "carried_rewards(featurise)", "p_update(featurise, carried_rewards, None)"],
+        ),
+        ("sqil", ["featurise(take)", "expert(64)", "soft_q(expert, featurise)"]),
+        ("iq_learn", ["featurise(take)", "expert(64)", "soft_q(expert, featurise)"]),
     ],
 )
 def test_each_baseline_uses_what_it_may_and_nothing_else(algorithm: str, calls: list[str]) -> None:
@@ -215,7 +201,7 @@ def test_without_overlap_a_net_reads_the_same_of_words_that_agree_and_words_that
     agree = batch_of((FLAT, Goal('Click on the "Ok" button.')))
     for overlap, same in ((True, False), (False, True)):
         torch.manual_seed(0)
-        net = Policy(vectors(), NetConfig(width=16, overlap=overlap))
+        net = PolicyNet(vectors(), NetConfig(width=16, goal_overlap=overlap))
         blind = replace(
             agree,
             matches=torch.zeros_like(agree.matches),
@@ -229,7 +215,7 @@ def test_a_bag_of_words_does_not_know_their_order() -> None:
     one, two = Goal("Click Ok not Cancel"), Goal("Click Cancel not Ok")
     for order, same in ((True, False), (False, True)):
         torch.manual_seed(0)
-        encoder = Policy(vectors(), NetConfig(width=16, order=order, overlap=False)).encoder
+        encoder = PolicyNet(vectors(), NetConfig(width=16, word_order=order, goal_overlap=False)).encoder
         first, second = (encoder(batch_of((FLAT, goal))).summary for goal in (one, two))
         assert torch.allclose(first, second, atol=1e-5) is same
 
@@ -238,7 +224,7 @@ def test_without_neighbours_an_element_is_read_alone() -> None:
     alone = page("button:Ok")
     for neighbours, same in ((True, False), (False, True)):
         torch.manual_seed(0)
-        encoder = Policy(vectors(), NetConfig(width=16, neighbours=neighbours)).encoder
+        encoder = PolicyNet(vectors(), NetConfig(width=16, element_attention=neighbours)).encoder
         first, second = (
             encoder(batch_of((shown, Goal("Click Ok")))).elements[0, 0] for shown in (alone, page("button:Ok", "div:x"))
         )
@@ -250,21 +236,23 @@ def test_the_airl_form_weighs_a_logit_against_how_likely_the_policy_is_to_do_it(
     form: Literal["plain", "airl"],
 ) -> None:
     """Where expert and policy act alike the optimal logit is 0: AIRL's f then is log pi, the plain form's is 0."""
-    none = {"rollouts": 0.0, "replay": 0.0, "chance": 0.0, "wrong_goal": 0.0, "rename": 0.0}
-    config = DiscriminatorConfig(form=form, updates=1, batch=32, demo_states=1.0, **none)  # type: ignore[arg-type]
+    none = {"rollouts": 0.0, "replay": 0.0, "random_actions": 0.0, "wrong_goal": 0.0, "rename_prob": 0.0}
+    config = DiscriminatorConfig(form=form, updates=1, batch=32, policy_on_expert_states=1.0, **none)  # type: ignore[arg-type]
     net = policy()
     actions = legal_actions(SHORT, Goal(GOAL))
-    batch, every = collate_steps(steps_of([study(trajectory(GOAL, [SHORT], [a]), vectors()) for a in actions]))
+    batch, every = collate_steps(
+        steps_of([featurise_trajectory(trajectory(GOAL, [SHORT], [a]), vectors()) for a in actions])
+    )
     with torch.no_grad():
         logp = net.evaluate(batch, every)[0].squeeze(1)
     judge = judging(config)
     noise = torch.Generator().manual_seed(0)
     played = torch.multinomial(logp.exp(), 400, replacement=True, generator=noise).tolist()
-    expert = [study(trajectory(GOAL, [SHORT], [actions[i]]), vectors()) for i in played]
+    expert = [featurise_trajectory(trajectory(GOAL, [SHORT], [actions[i]]), vectors()) for i in played]
     for start in range(0, 400, 32):
         judge.update(expert[start : start + 32], expert[:1], net)
         judge.update(expert[start : start + 32], expert[:1], net)
-    learned = judge.ask(batch, every).squeeze(1)
+    learned = judge.reward_fn(batch, every).squeeze(1)
     likely = logp > logp.max() - 3
     gap = (learned - (logp if form == "airl" else 0.0))[likely].abs().mean().item()
     wrong = (learned - (0.0 if form == "airl" else logp))[likely].abs().mean().item()
@@ -275,7 +263,7 @@ def test_a_discriminator_that_slows_with_its_accuracy_learns_at_full_rate_while_
     demonstrations = [episode.trajectory for episode in expert_episodes(1)]
     config = Config(
         net=NetConfig(width=16, vectors="hashed"),
-        discriminator=DiscriminatorConfig(slow="accuracy", learning_rate=1.0, final_rate=0.1),
+        discriminator=DiscriminatorConfig(lr_schedule="accuracy", learning_rate=1.0, final_lr_fraction=0.1),
     )
     learner = Learner(config, demonstrations, Metrics())
     for accuracy, rate in ((1.0, 1.0), (0.75, 0.55), (0.5, 0.1), (0.0, 0.1)):
@@ -289,8 +277,8 @@ def test_the_rates_of_policy_and_cloning_and_the_entropy_fall_along_a_line() -> 
     config = Config(
         iterations=101,
         net=NetConfig(width=16, vectors="hashed"),
-        policy=PolicyConfig(learning_rate=1.0, final_rate=0.2, entropy=0.5, final_entropy=0.4),
-        cloning=CloningConfig(learning_rate=2.0, final_rate=0.2),
+        policy=PolicyConfig(learning_rate=1.0, final_lr_fraction=0.2, entropy=0.5, final_entropy=0.4),
+        cloning=CloningConfig(learning_rate=2.0, final_lr_fraction=0.2),
     )
     learner = Learner(config, demonstrations, Metrics())
     for step, rate, entropy in ((0, 1.0, 0.5), (50, 0.6, 0.35), (100, 0.2, 0.2)):

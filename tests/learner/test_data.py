@@ -10,7 +10,7 @@ import pytest
 
 from giirl_core.nets.features import featurise
 from giirl_core.types import Action, Trajectory, Verb
-from learner.data import Example, ExpertSampler, Replay, Step, study
+from learner.data import Example, ExpertSampler, Replay, Step, featurise_trajectory
 from tests.learner.samples import FLAT, expert_episodes, page, trajectory, vectors
 
 NAMES = ("Ada", "Bertram", "Clotilde")
@@ -102,10 +102,10 @@ def test_no_demonstrations_are_an_error_in_words() -> None:
 
 def test_the_replay_is_a_uniform_sample_of_everything_it_was_given() -> None:
     click = Action(verb=Verb.CLICK, element=0)
-    examples = [study(trajectory("Click Ok.", [FLAT], [click], seed=i), vectors()) for i in range(20)]
-    draw, kept = np.random.default_rng(0), Counter[int]()
+    examples = [featurise_trajectory(trajectory("Click Ok.", [FLAT], [click], seed=i), vectors()) for i in range(20)]
+    rng, kept = np.random.default_rng(0), Counter[int]()
     for _ in range(1500):
-        replay = Replay(5, draw)
+        replay = Replay(5, rng)
         for start in (0, 3, 10):  # given in parts, as rollouts are
             replay.add(examples[start : {0: 3, 3: 10, 10: 20}[start]])
         assert replay.seen == 20

@@ -13,7 +13,6 @@ from giirl_core.config import Config, DiscriminatorConfig, StreamConfig
 from giirl_core.config import NetConfig as Net
 from giirl_core.metrics import Metrics
 from giirl_core.types import UNSCORED, Trajectory
-from learner.data import Example
 from learner.discriminator import ACCURACY, EXPERT
 from learner.learner import Learner
 from tests.learner.samples import WIDTH, expert_episodes
@@ -42,13 +41,13 @@ def sources(stats: dict[str, float]) -> set[str]:
 
 
 def test_the_plain_thesis_form_has_two_sources_and_the_default_six(demonstrations: list[Trajectory]) -> None:
-    plain = replace(SMALL, replay=0.0, demo_states=0.0, chance=0.0, wrong_goal=0.0)
+    plain = replace(SMALL, replay=0.0, policy_on_expert_states=0.0, random_actions=0.0, wrong_goal=0.0)
     for config, wanted in (
         (plain, {EXPERT, "rollouts"}),
-        (SMALL, {EXPERT, "rollouts", "replay", "demo_states", "chance", "wrong_goal"}),
+        (SMALL, {EXPERT, "rollouts", "replay", "policy_on_expert_states", "random_actions", "wrong_goal"}),
     ):
         mind = learner(demonstrations, config)
-        rollouts = mind.study(scored(demonstrations, 0))
+        rollouts = mind.featurise(scored(demonstrations, 0))
         mind.discriminator.update(mind.demos.sample(16), rollouts, mind.policy.net)
         stats = mind.discriminator.update(mind.demos.sample(16), rollouts, mind.policy.net)
         assert sources(stats) == wanted
@@ -56,17 +55,20 @@ def test_the_plain_thesis_form_has_two_sources_and_the_default_six(demonstration
 
 def test_it_learns_to_tell_experts_from_what_it_is_shown_as_the_policys(demonstrations: list[Trajectory]) -> None:
     mind = learner(
-        demonstrations, replace(SMALL, replay=0.0, demo_states=0.0, chance=0.0, learning_rate=0.01, rename=0.0)
+        demonstrations,
+        replace(
+            SMALL, replay=0.0, policy_on_expert_states=0.0, random_actions=0.0, learning_rate=0.01, rename_prob=0.0
+        ),
     )
     buttons = [t for t in demonstrations if t.task == "click-button"]
     others = [replace(t, actions=tuple(replace(a, element=(a.element + 1) % 6) for a in t.actions)) for t in buttons]
-    rollouts = mind.study(scored(others, 0))
+    rollouts = mind.featurise(scored(others, 0))
     for _ in range(80):
-        stats = mind.discriminator.update(mind.study(buttons), rollouts, mind.policy.net)
+        stats = mind.discriminator.update(mind.featurise(buttons), rollouts, mind.policy.net)
     assert stats[ACCURACY + EXPERT] > 0.9
     assert stats[ACCURACY + "rollouts"] > 0.9
-    right = mind.discriminator.rewards(mind.study(buttons), version=9)
-    wrong = mind.discriminator.rewards(mind.study(others), version=9)
+    right = mind.discriminator.rewards(mind.featurise(buttons), version=9)
+    wrong = mind.discriminator.rewards(mind.featurise(others), version=9)
     assert torch.cat(right).mean() > torch.cat(wrong).mean() + 2
 
 
@@ -75,7 +77,7 @@ def test_rewards_too_old_are_computed_again_by_the_same_function(demonstrations:
     net = Net(width=WIDTH, vectors="hashed")
     mind = Learner(Config(net=net, discriminator=SMALL, stream=StreamConfig(reward_lag=1)), demonstrations, metrics)
     mixed = scored(demonstrations[:2], 4) + scored(demonstrations[2:5], 3)
-    rewards = mind.discriminator.rewards(mind.study(mixed), version=5)
+    rewards = mind.discriminator.rewards(mind.featurise(mixed), version=5)
     fresh = mind.discriminator.model.score(mixed)
     assert [r.tolist() for r in rewards[:2]] == [[9.0] * len(t) for t in mixed[:2]]
     for got, wanted in zip(rewards[2:], fresh[2:], strict=True):
@@ -88,23 +90,15 @@ def test_rewards_too_old_are_computed_again_by_the_same_function(demonstrations:
 @pytest.mark.parametrize("lag", [0, 1])
 def test_an_unscored_rollout_is_scored_however_much_lag_is_allowed(lag: int, demonstrations: list[Trajectory]) -> None:
     mind = learner(demonstrations, reward_lag=lag)
-    rewards = mind.discriminator.rewards(mind.study(scored(demonstrations, UNSCORED)), version=1)
+    rewards = mind.discriminator.rewards(mind.featurise(scored(demonstrations, UNSCORED)), version=1)
     assert not any(9.0 in reward for reward in rewards)
-
-
-def test_the_reward_is_the_same_with_dropout_on_while_it_is_asked(demonstrations: list[Trajectory]) -> None:
-    mind = learner(demonstrations, replace(SMALL, dropout=0.5))
-    rollouts: list[Example] = mind.study(scored(demonstrations, UNSCORED))
-    mind.discriminator.update(mind.demos.sample(16), rollouts, mind.policy.net)
-    one, two = (torch.cat(mind.discriminator.rewards(rollouts, version=3)) for _ in range(2))
-    assert torch.equal(one, two)
 
 
 def test_a_gradient_penalty_flattens_what_is_learned(demonstrations: list[Trajectory]) -> None:
     spread = []
     for weight in (0.0, 100.0):
         mind = learner(demonstrations, replace(SMALL, gradient_penalty=weight, learning_rate=0.01))
-        rollouts = mind.study(scored(demonstrations, UNSCORED))
+        rollouts = mind.featurise(scored(demonstrations, UNSCORED))
         for _ in range(15):
             stats = mind.discriminator.update(mind.demos.sample(16), rollouts, mind.policy.net)
         assert (stats["d_penalty"] > 0) == (weight > 0)

@@ -16,10 +16,10 @@ from giirl_core.config import CloningConfig, Config, DiscriminatorConfig, GridCo
 from giirl_core.nets.parameters import hash_nets
 from gridcraft.instructions import Pair
 from gridcraft.layouts import Layout, named_layout
-from gridcraft.planning import fraction, random_policy, solve
+from gridcraft.planning import normalized_return, random_policy, solve
 from gridcraft.world import ACTIONS, HORIZON, build_world, observations, true_reward
 from learner.grid.learner import GridLearner, soft_target
-from learner.grid.nets import Sight, one_hot, policy_table, reward_table
+from learner.grid.nets import GridFeatures, one_hot, policy_table, reward_table
 from learner.grid.steps import GridDemos, Steps, expert_steps
 
 SMALL = Config(
@@ -27,10 +27,12 @@ SMALL = Config(
     iterations=3,
     rollout_batch=4,
     net=NetConfig(width=16),
-    discriminator=DiscriminatorConfig(updates=2, batch=32, clip=8.0, gradient_penalty=0.2, demo_states=0.0, rename=0.0),
+    discriminator=DiscriminatorConfig(
+        updates=2, batch=32, clip=8.0, gradient_penalty=0.2, policy_on_expert_states=0.0, rename_prob=0.0
+    ),
     policy=PolicyConfig(updates=3, gamma=0.95, entropy=0.1),
     cloning=CloningConfig(batch=4),
-    grid=GridConfig(chance_episodes=10, demonstrations=2, batch=32, measure_every=1),
+    grid=GridConfig(random_episodes=10, demonstrations=2, batch=32, measure_every=1),
 )
 WORLD = build_world([named_layout("regions")])
 PAIRS = pairs_of(SMALL.grid)
@@ -56,7 +58,7 @@ def test_algorithm_1s_own_loop_runs_in_the_grid_and_tells_what_it_learned() -> N
     run = learn(SMALL)
     assert [point["step"] for point in run.curve] == [1, 2, 3]
     assert run.env_steps == (10 + 3 * 4) * HORIZON
-    assert {"d_loss", "d_accuracy_expert", "d_accuracy_chance", "p_loss", "p_reward"} <= set(run.curve[-1])
+    assert {"d_loss", "d_accuracy_expert", "d_accuracy_random_actions", "p_loss", "p_reward"} <= set(run.curve[-1])
     assert len(run.curve[-1]["returns"]) == len(PAIRS) == 6
 
 
@@ -77,14 +79,14 @@ def plain() -> str:
     [
         with_discriminator(form="airl"),
         with_grid(absorbing=True),
-        with_discriminator(slow="accuracy"),
-        with_grid(whole_map=True),
+        with_discriminator(lr_schedule="accuracy"),
+        with_grid(full_map=True),
         with_grid(sentences="all", order=1, neighbours=True),
         with_discriminator(reward="d"),
         with_discriminator(reward="log_d"),
-        with_discriminator(gradient_penalty=0.0, demo_states=0.5),
-        with_discriminator(rename=0.5),
-        with_discriminator(rollouts=1.0, replay=0.0, chance=0.0, wrong_goal=0.0),
+        with_discriminator(gradient_penalty=0.0, policy_on_expert_states=0.5),
+        with_discriminator(rename_prob=0.5),
+        with_discriminator(rollouts=1.0, replay=0.0, random_actions=0.0, wrong_goal=0.0),
         dataclasses.replace(SMALL, algorithm="cloning"),
     ],
     ids=[
@@ -159,13 +161,13 @@ def test_a_frozen_reward_is_enough_for_a_fresh_soft_q_learner() -> None:
     true = true_reward(world, pair)
     frozen = torch.tensor(solve(world, true, temperature=0.0).q * 0.1, dtype=torch.float32)  # shaped already
 
-    def ask(steps: Steps) -> torch.Tensor:
+    def reward_fn(steps: Steps) -> torch.Tensor:
         return frozen[steps.state, steps.action]
 
     rollouts = learner.demos.sample(4)
-    learner.policy.update(rollouts, ask(rollouts), ask)
+    learner.policy.update(rollouts, reward_fn(rollouts), reward_fn)
     got = policy_table(learner.policy.net, learner.sight, 0)
-    assert fraction(world, got, true) > 0.9 > fraction(world, random_policy(world), true)
+    assert normalized_return(world, got, true) > 0.9 > normalized_return(world, random_policy(world), true)
 
 
 def test_the_discriminator_learns_to_pay_the_expert_more_than_chance() -> None:
@@ -174,8 +176,8 @@ def test_the_discriminator_learns_to_pay_the_expert_more_than_chance() -> None:
     expert = learner.demos.sample(30)
     chance = learner.discriminator._chance
     learner.discriminator.update(expert, chance, learner.policy.net)
-    ask = learner.discriminator.ask
-    assert ask(expert).mean() > 0.5 > -0.5 > ask(chance).mean()
+    reward_fn = learner.discriminator.reward_fn
+    assert reward_fn(expert).mean() > 0.5 > -0.5 > reward_fn(chance).mean()
 
 
 def test_tables_are_what_the_nets_say_state_by_state() -> None:
@@ -201,14 +203,14 @@ def test_airls_reward_leaves_the_shaping_out_and_its_logit_does_not() -> None:
     logp = learner.policy.net.log_policy(learner.sight.wide(steps.state, steps.goal))
     for i in range(len(steps)):
         assert got[i].item() == pytest.approx((0.95 * after[i] - h[i] - logp[i, steps.action[i]]).item(), abs=1e-5)
-    assert torch.equal(d.ask(steps), d.net(seen, one_hot(steps.action)).clamp(-8, 8))
+    assert torch.equal(d.reward_fn(steps), d.net(seen, one_hot(steps.action)).clamp(-8, 8))
 
 
 def test_sentences_are_told_apart_by_the_order_of_their_words_only_in_pairs_of_words() -> None:
     texts = ["Go to Red. Avoid Blue.", "Go to Blue. Avoid Red."]
     for order, alike in ((1, True), (2, False)):
         learner = GridLearner(with_grid(order=order), WORLD, PAIRS)
-        goals = Sight(WORLD, texts, learner.bag, learner.config.grid).goals
+        goals = GridFeatures(WORLD, texts, learner.bag, learner.config.grid).goals
         assert torch.equal(goals[0], goals[1]) == alike
 
 
@@ -231,7 +233,7 @@ def test_renamed_colours_are_another_layout_of_the_same_shape_with_the_sentence_
 
 
 def test_a_discriminator_that_renames_shows_the_net_the_same_steps_in_other_colours() -> None:
-    learner = GridLearner(with_discriminator(rename=1.0), WORLD, PAIRS)
+    learner = GridLearner(with_discriminator(rename_prob=1.0), WORLD, PAIRS)
     steps = learner.demos.sample(20)
     plain, seen = learner.sight(steps.state, steps.goal), learner.discriminator._see(steps)
     assert seen.shape == plain.shape
@@ -243,10 +245,10 @@ def test_q_learning_asks_for_the_reward_of_a_step_under_every_sentence() -> None
     learner = GridLearner(SMALL, WORLD, PAIRS)
     asked: list[Steps] = []
 
-    def ask(steps: Steps) -> torch.Tensor:
+    def reward_fn(steps: Steps) -> torch.Tensor:
         asked.append(steps)
         return torch.zeros(len(steps))
 
     rollouts = learner.demos.sample(4).under(np.zeros(4 * HORIZON, dtype=np.int64))
-    learner.policy.update(rollouts, torch.zeros(len(rollouts)), ask)
+    learner.policy.update(rollouts, torch.zeros(len(rollouts)), reward_fn)
     assert set(asked[0].goal.tolist()) == set(range(len(PAIRS)))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 
 from giirl_core.nets.reward import FORMS, reward_of
-from learner.losses import gradient_penalty, logistic_loss, vtrace
+from learner.losses import gradient_penalty, iq_loss, logistic_loss, sqil_loss, trimmed, vtrace
 
 
 def same(one: Tensor, two: Tensor) -> bool:
@@ -149,3 +149,24 @@ def test_gradient_penalty_adds_up_over_inputs_and_can_be_descended() -> None:
     assert same(penalty, torch.stack(rows).mean())
     penalty.backward()
     assert all(p.grad is not None and p.grad.abs().sum() > 0 for p in net[0].parameters())
+
+
+def test_sqil_pays_one_for_the_expert_and_nothing_for_the_policy() -> None:
+    expert, rollouts = torch.tensor([0.5, 2.0]), torch.tensor([0.25, -1.0, 0.0])
+    naive = (0.25 + 1.0) / 2 + (0.0625 + 1.0 + 0.0) / 3
+    assert sqil_loss(expert, rollouts).item() == pytest.approx(naive)
+    assert sqil_loss(torch.ones(3), torch.zeros(5)).item() == 0.0
+
+
+def test_iq_learn_has_its_optimum_where_the_expert_goes_and_nobody_else() -> None:
+    expert, rollouts = torch.tensor([0.3, -0.2]), torch.tensor([0.1])
+    drop = torch.tensor([0.5, 0.7, 0.9])
+    naive = (0.5 + 0.7 + 0.9) / 3 - (0.3 - 0.2) / 2 + (0.09 + 0.04 + 0.01) / 3 / (4 * 0.5)
+    assert iq_loss(expert, rollouts, drop, 0.5).item() == pytest.approx(naive)
+
+
+def test_trimming_takes_the_highest_share_away() -> None:
+    logits = torch.tensor([3.0, -1.0, 2.0, 0.0])
+    assert sorted(trimmed(logits, 0.25).tolist()) == [-1.0, 0.0, 2.0]
+    assert torch.equal(trimmed(logits, 0.0), logits)
+    assert torch.equal(trimmed(logits, 0.2), logits)  # less than one of four

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from actors.episode_counter import Tally
+from actors.episode_counter import EpisodeCounter
 from actors.uplink import Refused, Uplink, UplinkLimits
 from giirl_core.metrics import Metrics
 from giirl_core.types import Episode
@@ -20,7 +20,7 @@ from giirl_core.wire.delivery import Grant
 from giirl_core.wire.transport import Dealer, Router
 from learner.stream.admission import IngestLimits
 from learner.stream.ingest import Ingest
-from learner.stream.snapshot import Held
+from learner.stream.snapshot import IngestSnapshot
 from tests.giirl_core.wire_examples import STAMP, episode
 from tests.reward_service.serving import WAIT_S, until
 
@@ -37,7 +37,7 @@ def _folder(tmp_path: Path) -> Iterator[None]:
 
 @contextmanager
 def ingesting(
-    port: int = 0, *, held: Held | None = None, metrics: Metrics | None = None, credits_: int = 4
+    port: int = 0, *, held: IngestSnapshot | None = None, metrics: Metrics | None = None, credits_: int = 4
 ) -> Iterator[Ingest]:
     limits = IngestLimits(credits=credits_)
     with closing(Ingest("run", lambda: 3, port=port, limits=limits, held=held, metrics=metrics)) as ingest:
@@ -47,7 +47,7 @@ def ingesting(
 def uplink(
     address: str, *, actor: str = "a", incarnation: int = 0, run: str = "run", limits: UplinkLimits = QUICK
 ) -> Uplink:
-    tally = Tally(FOLDER[-1] / actor, incarnation)
+    tally = EpisodeCounter(FOLDER[-1] / actor, incarnation)
     return Uplink(address, run=run, actor=actor, incarnation=incarnation, tally=tally, limits=limits)
 
 
@@ -85,9 +85,9 @@ def test_an_actor_pauses_while_the_learner_takes_nothing() -> None:
             line.offer(episode(1, seed=seed))
         until(lambda: ingest.queued == 2, line)
         assert not line.flush(0.3)
-        assert (ingest.queued, line.unjudged, line.ready) == (2, 10, False)
+        assert (ingest.queued, line.unacked, line.ready) == (2, 10, False)
         ingest.take(2, WAIT_S)
-        until(lambda: line.unjudged == 8, line)
+        until(lambda: line.unacked == 8, line)
         taken = [e.trajectory.seed for _ in range(5) for e in _take_with(ingest, 2, line)]
         assert taken == list(range(2, 12))
         until(lambda: line.ready, line)
@@ -101,7 +101,7 @@ def test_a_freed_credit_is_told_at_once_and_not_at_the_next_beat(monkeypatch: py
         with closing(line):
             line.offer(episode(1))
             line.offer(episode(1))
-            until(lambda: ingest.queued == 1 and line.unjudged == 1, line)
+            until(lambda: ingest.queued == 1 and line.unacked == 1, line)
             ingest.take(1, WAIT_S)
             assert line.flush(WAIT_S)
 
@@ -115,7 +115,7 @@ def test_an_actor_that_keeps_as_much_as_it_may_pauses_and_asks_for_a_checkpoint(
         assert not ingest.wants_commit
         while line.ready:
             line.offer(episode(1))
-        until(lambda: ingest.wants_commit and not line.unjudged, line)
+        until(lambda: ingest.wants_commit and not line.unacked, line)
         assert not line.ready
         kept = line.kept
         until(lambda: line.kept == kept, line)  # nothing is given up
@@ -175,7 +175,7 @@ def test_a_replaced_actor_can_finish_nothing_and_what_it_took_with_it_is_counted
         assert old.flush(WAIT_S)
         for _ in range(5):  # one of them waits with the actor when it stalls
             old.offer(episode(1))
-        until(lambda: old.unjudged == 2, old)
+        until(lambda: old.unacked == 2, old)
         with closing(uplink(ingest.address, incarnation=1)) as new:
             new.offer(episode(1, seed=2))
             with pytest.raises(Refused, match="incarnation 1 has taken over"):
@@ -207,7 +207,7 @@ def test_an_actor_that_leaves_in_a_hurry_has_what_it_takes_along_counted() -> No
         line = uplink(ingest.address)
         for _ in range(3):
             line.offer(episode(1))
-        until(lambda: line.unjudged == 2, line)
+        until(lambda: line.unacked == 2, line)
         line.close()
         until(lambda: dropped(metrics, "lost") == 2)
         assert ingest.queued == 1
@@ -267,16 +267,18 @@ def test_an_episode_lost_on_the_way_is_sent_again_as_soon_as_that_is_certain() -
                 router.send(message[0], b"junk")  # ignored
                 floor = int(heard.count(delivery.EPISODE) >= 3)
                 if "number" in header:
-                    grant = Grant(incarnation=0, notice=header["number"], floor=floor, committed=0, settled=0, limit=1)
+                    grant = Grant(
+                        incarnation=0, notice=header["number"], low_watermark=floor, committed=0, settled=0, limit=1
+                    )
                     router.send(message[0], delivery.encode_grant(grant))
-            return line.unjudged == 0
+            return line.unacked == 0
 
         until(hear, line)
         assert heard[0] == delivery.HELLO
         episodes = [place for place, kind in enumerate(heard) if kind == delivery.EPISODE]
         assert len(episodes) == 3
         for first, second in pairwise(episodes):
-            assert delivery.BEAT in heard[first:second]  # never on a mere suspicion
+            assert delivery.HEARTBEAT in heard[first:second]  # never on a mere suspicion
 
 
 def test_how_long_an_actor_has_been_silent_is_known() -> None:

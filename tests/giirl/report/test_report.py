@@ -129,7 +129,7 @@ def test_a_cloning_run_has_no_reward_and_says_so(tmp_path: Path) -> None:
 
 def test_a_gridcraft_run_shows_its_returns_and_its_maps(tmp_path: Path) -> None:
     path = tmp_path / "run"
-    quick = ["iterations=5", "rollout_batch=2", "discriminator.updates=1", "policy.updates=2", "grid.chance_episodes=5"]
+    quick = ["iterations=5", "rollout_batch=2", "discriminator.updates=1", "policy.updates=2", "grid.random_episodes=5"]
     done = command("train", ROOT / "experiments/gridcraft.toml", f"run={path}", *quick)
     assert done.exit_code == 0, done.exception
     page = reported(path)
