@@ -41,7 +41,7 @@ class Discriminator:
         self.config, self.model, self.demos, self.replay = config, model, demos, replay
         self._reward_lag, self._metrics = reward_lag, metrics
         self.accuracy = 1.0  # of late: the mean share of expert steps, and of the newest rollouts', on their own side
-        self.optimiser = torch.optim.AdamW(model.net.parameters(), lr=config.learning_rate)
+        self.optimiser = torch.optim.Adam(model.net.parameters(), lr=config.learning_rate)
         self._rng, self._generator = rng, generator
 
     def update(self, expert: Sequence[Example], rollouts: Sequence[Example], policy: PolicyNet) -> dict[str, float]:

@@ -40,7 +40,7 @@ class GridDiscriminator:
         self._sight, self._demos, self._chance, self._rng = sight, demos, chance, rng
         self.net = RewardNet(sight.width, config.net.width)
         self.potential = PotentialNet(sight.width, config.net.width)
-        self.optimiser = torch.optim.AdamW(
+        self.optimiser = torch.optim.Adam(
             [*self.net.parameters(), *self.potential.parameters()],
             lr=self.config.learning_rate,
             fused=True,
