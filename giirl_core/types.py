@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
@@ -33,6 +33,7 @@ __all__ = [
     "Outcome",
     "Page",
     "Purpose",
+    "SampledActions",
     "StepResult",
     "Trajectory",
     "TrajectorySource",
@@ -205,6 +206,26 @@ class Browser(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SampledActions:
+    """M further actions on each page of a trajectory, drawn but not taken: the reward of each can still be learned from.
+
+    Half of them are the policy's, half uniform over what is legal.
+    """
+
+    choices: NDArray[np.int16]  # [T, M, 4] verb, element, first and last word (-1 where nothing is typed)
+    logp: NDArray[np.float32]  # [T, M] nats, log mu(a | s_t, g) of the policy that drew, of the uniform half too
+    rewards: NDArray[np.float32]  # [T, M] r(s_t, a | g) of the trajectory's reward_version; zeros while unscored
+
+    def __post_init__(self) -> None:
+        steps = self.choices.shape[:2]
+        if self.choices.shape != (*steps, 4) or self.logp.shape != steps or self.rewards.shape != steps:
+            raise ValueError(
+                f"SampledActions.choices has shape {self.choices.shape}, .logp {self.logp.shape} and .rewards "
+                f"{self.rewards.shape}, wanted [T, M, 4], [T, M] and [T, M]"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Trajectory:
     """What the learner trains on: states, actions and goal of one episode. It does not know whether it succeeded."""
 
@@ -217,6 +238,7 @@ class Trajectory:
     rewards: NDArray[np.float32]  # [T] r(s_t, a_t | g) of reward_version; zeros while unscored
     policy_version: int  # oldest learner step that produced mu; -1 marks a demonstration
     reward_version: int = UNSCORED  # learner step of the reward that scored it
+    sampled: SampledActions | None = None  # where nobody asked for any
 
     def __post_init__(self) -> None:
         steps = len(self.pages)
@@ -225,6 +247,8 @@ class Trajectory:
         for name in ("actions", "behaviour_logp", "rewards"):
             if len(getattr(self, name)) != steps:
                 raise ValueError(f"Trajectory.{name} has {len(getattr(self, name))} steps, .pages has {steps}")
+        if self.sampled is not None:
+            _check_sampled(self.sampled, self.pages, self.goal)
         for t, (page, action) in enumerate(zip(self.pages, self.actions, strict=True)):
             if max(action.element, action.to) >= len(page):
                 raise ValueError(
@@ -246,6 +270,25 @@ class Trajectory:
                     f"{self.task} with seed {self.seed}, step {t} is {action.verb.name} {action.literal!r:.40} on row "
                     f"{action.element}: the nets learn only clicks on rows and typing words of the goal"
                 )
+
+
+def _check_sampled(sampled: SampledActions, pages: Sequence[Page], goal: Goal) -> None:
+    """ValueError for a sampled action that no page of the trajectory allows."""
+    if len(sampled.choices) != len(pages):
+        raise ValueError(f"Trajectory.sampled has {len(sampled.choices)} steps, .pages has {len(pages)}")
+    verb, element, start, end = np.moveaxis(sampled.choices, 2, 0)
+    sizes = np.array([[len(page)] for page in pages])
+    typed = verb == Verb.TYPE
+    words = len(goal.tokens)
+    legal = (element >= 0) & (element < sizes) & np.where(
+        typed, (start >= 0) & (start <= end) & (end < words), (verb == Verb.CLICK) & (start == NO_SPAN) & (end == NO_SPAN)
+    )
+    if not legal.all():
+        t, m = (int(place) for place in np.argwhere(~legal)[0])
+        raise ValueError(
+            f"sampled action {m} of step {t} is {sampled.choices[t, m].tolist()}, wanted a click or words to type "
+            f"on a page with {len(pages[t])} elements under a goal with {words} words"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,7 +8,7 @@ import torch
 
 from giirl_core.config import CloningConfig
 from giirl_core.metrics import Metrics, timed_update
-from giirl_core.nets.features import rename
+from giirl_core.nets.batch import rename
 from giirl_core.nets.models import PolicyNet
 from learner.actor_critic import descend
 from learner.data import Example, collate_steps, steps_of
@@ -19,7 +19,7 @@ class Cloner:
 
     def __init__(self, config: CloningConfig, net: PolicyNet, generator: torch.Generator, *, metrics: Metrics) -> None:
         self.config, self.net, self._generator, self._metrics = config, net, generator, metrics
-        self.optimiser = torch.optim.Adam(net.parameters(), lr=config.learning_rate)
+        self.optimiser = torch.optim.Adam(net.parameters(), lr=config.learning_rate, fused=True)
 
     def update(self, expert: Sequence[Example]) -> dict[str, float]:
         """One step on every step of `expert`."""
@@ -27,7 +27,7 @@ class Cloner:
         if self.config.rename_prob:
             batch = rename(batch, actions, self.config.rename_prob, self.config.position_jitter, self._generator)
         with timed_update(self._metrics, "cloning"):
-            logp, entropy, _ = self.net.evaluate(batch, actions)
+            logp, entropy = self.net.evaluate(self.net.encoder(batch), actions)
             loss = -logp.mean()
             descend(self.optimiser, self.net, loss)
         return {"p_loss": loss.item(), "p_entropy": entropy.mean().item()}

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
-from giirl_core.nets.features import ActionBatch, Batch, Features, collate, collate_actions, featurise
+from giirl_core.nets.batch import ActionBatch, Batch, collate, collate_actions, collate_sampled
+from giirl_core.nets.features import Features, featurise
 from giirl_core.nets.language import Vectors
 from giirl_core.types import Action, Goal, Trajectory, Verb
 
 
-@dataclass(frozen=True, slots=True)
+WRONG_GOALS_KEPT = 4096  # features of expert pages under wrong goals that are kept
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Example:
     """A trajectory and what the nets see of each of its steps."""
 
@@ -49,11 +56,26 @@ def collate_steps(steps: Sequence[Step]) -> tuple[Batch, ActionBatch]:
     return collate([step.features for step in steps]), collate_actions([step.action for step in steps])
 
 
+def sampled_of(examples: Sequence[Example]) -> tuple[ActionBatch, Tensor]:
+    """The actions [sum T, M] sampled on every page of every example, and their log-probabilities then, nats."""
+    return collate_sampled([example.trajectory for example in examples])
+
+
+def carried_rewards(example: Example) -> Tensor:
+    """[T, 1 + M] the rewards that a rollout brought along, of the action taken and of the sampled ones."""
+    trajectory = example.trajectory
+    taken = torch.from_numpy(np.array(trajectory.rewards)).unsqueeze(1)
+    return taken if trajectory.sampled is None else torch.cat([taken, torch.tensor(trajectory.sampled.rewards)], dim=1)
+
+
 class ExpertSampler:
     """D_E: expert trajectories with their goals, drawn evenly by task; and the same steps under wrong goals."""
 
     def __init__(self, demonstrations: Sequence[Trajectory], vectors: Vectors, rng: np.random.Generator) -> None:
-        self._vectors, self._rng = vectors, rng
+        self._rng = rng
+        self._featurise = functools.lru_cache(WRONG_GOALS_KEPT)(  # the same few pages meet the same few goals again
+            lambda example, t, goal: featurise(example.trajectory.pages[t], goal, vectors)
+        )
         self._of_task: dict[str, list[Example]] = {}
         for trajectory in demonstrations:
             self._of_task.setdefault(trajectory.task, []).append(featurise_trajectory(trajectory, vectors))
@@ -91,7 +113,7 @@ class ExpertSampler:
                 continue
             action = own.actions[t]
             start, end = other.find(action.text(own.goal)) if action.verb is Verb.TYPE else (-1, -1)
-            row = featurise(own.pages[t], other, self._vectors)
+            row = self._featurise(example, t, other)
             wrong.append(Step(row, replace(action, start=start, end=end)))
         return wrong
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
@@ -10,17 +11,38 @@ from torch import Tensor
 
 from giirl_core.config import DiscriminatorConfig
 from giirl_core.metrics import Metrics, timed_update
-from giirl_core.nets.features import ActionBatch, Batch, rename
+from giirl_core.nets.batch import ActionBatch, Batch, collate, join, random_actions, rename
 from giirl_core.nets.models import PolicyNet
-from giirl_core.nets.reward import RewardModel, episode_rewards, reward_of
+from giirl_core.nets.reward import RewardModel, episode_rewards
 from giirl_core.types import UNSCORED
-from learner.data import Example, ExpertSampler, Replay, Step, collate_steps, last_step, pick_step, steps_of
+from learner.data import (
+    Example,
+    ExpertSampler,
+    Replay,
+    Step,
+    carried_rewards,
+    collate_steps,
+    last_step,
+    pick_step,
+    sampled_of,
+    steps_of,
+)
 from learner.losses import gradient_penalty, logistic_loss, trimmed
 
 EXPERT = "expert"
 OWN = ("rollouts", "replay")  # steps that the policy took, at some time
 ACCURACY = "d_accuracy_"
 LATELY = 0.05  # how much the newest batch counts in the accuracy of late
+TAKEN, POLICYS, RANDOM = 0, 1, 2  # columns of the actions on each page
+
+
+@dataclass(frozen=True, slots=True)
+class _Pages:
+    """What one update trains on: pages, three actions on each, and which of those come from where."""
+
+    batch: Batch  # B pages
+    actions: ActionBatch  # [B, 3]
+    sources: dict[str, tuple[float, slice, int]]  # by name: weight, rows and column of its actions
 
 
 class Discriminator:
@@ -41,7 +63,7 @@ class Discriminator:
         self.config, self.model, self.demos, self.replay = config, model, demos, replay
         self._reward_lag, self._metrics = reward_lag, metrics
         self.accuracy = 1.0  # of late: the mean share of expert steps, and of the newest rollouts', on their own side
-        self.optimiser = torch.optim.Adam(model.net.parameters(), lr=config.learning_rate)
+        self.optimiser = torch.optim.Adam(model.net.parameters(), lr=config.learning_rate, fused=True)
         self._rng, self._generator = rng, generator
 
     def update(self, expert: Sequence[Example], rollouts: Sequence[Example], policy: PolicyNet) -> dict[str, float]:
@@ -52,7 +74,7 @@ class Discriminator:
         stats: dict[str, float] = {}
         for _ in range(self.config.updates):
             with timed_update(self._metrics, "reward"):
-                stats = self._descend(self._sources(expert, rollouts, policy), policy)
+                stats = self._descend(self._gather(expert, rollouts, policy), policy)
         for name, value in stats.items():
             if name.startswith(ACCURACY):
                 self._metrics.discriminator_accuracy.labels(name.removeprefix(ACCURACY)).set(value)
@@ -62,97 +84,106 @@ class Discriminator:
         return stats
 
     def rewards(self, rollouts: Sequence[Example], version: int) -> list[Tensor]:
-        """r(s_t, a_t | g) [T] of every rollout, at most `reward_lag` versions behind `version`, the one in the making.
+        """r(s, a | g) [T, 1 + M] of every rollout: of the action taken and of the sampled ones.
 
-        Rewards that came with a rollout are the reward service's, from this very function and older weights.
-        Those too old are computed again.
+        Rewards that came with a rollout are the reward service's, from this very function. Those more than `reward_lag`
+        versions behind `version`, the one in the making, are computed again.
         """
         versions = [example.trajectory.reward_version for example in rollouts]
         carried = [scored != UNSCORED and 0 <= version - scored <= self._reward_lag for scored in versions]
         stale = [example for example, fresh in zip(rollouts, carried, strict=True) if not fresh]
         again = iter(self._score(stale))
-        self._metrics.rewards_used.labels("service").inc(sum(carried))
-        self._metrics.rewards_used.labels("learner").inc(len(stale))
-        return [
-            torch.tensor(example.trajectory.rewards) if fresh else next(again)
+        rewards = [
+            carried_rewards(example) if fresh else next(again)
             for example, fresh in zip(rollouts, carried, strict=True)
         ]
+        for source, wanted in (("service", True), ("learner", False)):
+            used = sum(part.numel() for part, fresh in zip(rewards, carried, strict=True) if fresh is wanted)
+            self._metrics.rewards_used.labels(source).inc(used)
+        return rewards
 
+    @torch.no_grad()
     def _score(self, rollouts: Sequence[Example]) -> list[Tensor]:
-        """r(s_t, a_t | g) [T] of every rollout by the net as it is now."""
+        """[T, 1 + M] of every rollout by the net as it is now."""
         if not rollouts:
             return []
+        self.model.net.eval()
+        device = self.model.device
+        batch, taken = collate_steps(steps_of(rollouts))
+        actions = join(taken, sampled_of(rollouts)[0])
+        logits = self.model.net(batch.to(device), actions.to(device)).cpu()
         lengths = [len(example.features) for example in rollouts]
-        logits = self._judge(*collate_steps(steps_of(rollouts))).squeeze(1)
         return episode_rewards(logits, lengths, self.config.reward, self.config.clip)
 
-    def reward_fn(self, batch: Batch, actions: ActionBatch) -> Tensor:
-        """r(s, a | g) [B, M] of M actions on each page, taken or not."""
-        return reward_of(self._judge(batch, actions), self.config.reward, self.config.clip)
-
-    @torch.no_grad()
-    def _judge(self, batch: Batch, actions: ActionBatch) -> Tensor:
-        self.model.net.eval()
-        logits: Tensor = self.model.net(batch, actions)
-        return logits
-
-    def _sources(
-        self, expert: Sequence[Example], rollouts: Sequence[Example], policy: PolicyNet
-    ) -> dict[str, tuple[float, list[Step]]]:
-        """Steps by where they come from, with the weight each counts with; the expert's come first."""
+    def _gather(self, expert: Sequence[Example], rollouts: Sequence[Example], policy: PolicyNet) -> _Pages:
+        """The pages of one update, each to be encoded once, with up to three actions on it."""
         config, rng = self.config, self._rng
         pick = pick_step if config.train_on == "all_steps" else last_step
-        shown = [pick(expert[i % len(expert)], rng) for i in range(config.batch)]
-        sources = {EXPERT: (1.0, shown)}
-        new = [pick(rollouts[i], rng) for i in rng.integers(len(rollouts), size=config.batch)]
-        if config.rollouts:
-            sources["rollouts"] = (config.rollouts, new)
-        if config.replay:
-            sources["replay"] = (config.replay, [pick(old, rng) for old in self.replay.sample(config.batch)])
-        if config.policy_on_expert_states:
-            sources["policy_on_expert_states"] = (
-                config.policy_on_expert_states,
-                self._act(shown, policy, by_chance=False),
-            )
-        if config.random_actions:
-            both = shown[::2] + new[1::2]
-            sources["random_actions"] = (config.random_actions, self._act(both, policy, by_chance=True))
-        if config.wrong_goal:
-            sources["wrong_goal"] = (config.wrong_goal, self.demos.wrong_goals(expert))
-        return {name: (weight, steps) for name, (weight, steps) in sources.items() if steps}
+        steps = {
+            EXPERT: [pick(expert[i % len(expert)], rng) for i in range(config.batch)],
+            "rollouts": self._newest(rollouts),
+            "replay": [pick(old, rng) for old in self.replay.sample(config.batch)] if config.replay else [],
+            "wrong_goal": self.demos.wrong_goals(expert) if config.wrong_goal else [],
+        }
+        batch, taken = collate_steps([step for some in steps.values() for step in some])
+        device = self.model.device
+        uniform = torch.rand(len(batch), 1, 3, generator=self._generator)
+        actions = join(taken, self._act(steps[EXPERT], policy, taken), random_actions(batch, uniform))
+        firsts = np.cumsum([0, *(len(some) for some in steps.values())]).tolist()
+        sources = {
+            name: (getattr(config, name, 1.0), slice(first, last), TAKEN)
+            for name, first, last in zip(steps, firsts, firsts[1:], strict=False)
+        }
+        sources["policy_on_expert_states"] = config.policy_on_expert_states, slice(0, config.batch), POLICYS
+        sources["random_actions"] = config.random_actions, slice(0, firsts[2], 2), RANDOM
+        used = {name: part for name, part in sources.items() if part[0] and part[1].start < part[1].stop}
+        return _Pages(batch.to(device), actions.to(device), used)
+
+    def _newest(self, rollouts: Sequence[Example]) -> list[Step]:
+        """Each step of the newest rollouts at most once."""
+        steps = steps_of(rollouts)
+        if self.config.train_on == "final_steps":
+            steps = [last_step(rollout, self._rng) for rollout in rollouts]
+        some = self._rng.permutation(len(steps))[: self.config.batch]
+        return [steps[i] for i in some.tolist()]
 
     @torch.no_grad()
-    def _act(self, shown: Sequence[Step], policy: PolicyNet, by_chance: bool) -> list[Step]:
-        """What the policy, or chance, would do on these pages.
+    def _act(self, shown: Sequence[Step], policy: PolicyNet, taken: ActionBatch) -> ActionBatch:
+        """[B, 1] the policy's action on each expert page; on the others the action taken, which is not used.
 
-        The policy's actions on the experts' pages are a difference that no memory of pages can explain. Chance
-        keeps what is wrong wrong for as long as training lasts, on the policy's pages too, where a good policy
-        does nothing wrong any more and the right action would be the only one ever called a policy's.
+        The policy's actions on expert pages are a difference that no memory of pages can explain. Random actions keep
+        what is wrong wrong for as long as training lasts, on the policy's pages too, where a good policy makes no
+        mistakes any more and the right action would be the only one labelled as the policy's.
         """
-        batch, _ = collate_steps(shown)
-        uniform = torch.rand(len(shown), 1, 3, generator=self._generator)
-        actions, _ = policy.sample(batch, uniform, torch.tensor([by_chance]))
-        return [Step(step.features, action) for step, action in zip(shown, actions.first(), strict=True)]
+        if not self.config.policy_on_expert_states:
+            return taken
+        device = policy.encoder.table.device
+        uniform = torch.rand(len(shown), 1, 3, generator=self._generator).to(device)
+        own, _ = policy.sample(policy.encoder(collate([step.features for step in shown]).to(device)), uniform)
+        return _over(own.to(taken.verb.device), taken)
 
-    def _descend(self, sources: dict[str, tuple[float, list[Step]]], policy: PolicyNet) -> dict[str, float]:
+    def _descend(self, pages: _Pages, policy: PolicyNet) -> dict[str, float]:
         config, net = self.config, self.model.net
         net.train()
-        batch, actions = collate_steps([step for _, steps in sources.values() for step in steps])
-        page = batch
+        batch = pages.batch
         if config.rename_prob:
-            batch = rename(batch, actions, config.rename_prob, config.position_jitter, self._generator)
-        read = net.encode(batch, actions)
-        logits = net.head(read).flatten()
+            batch = rename(batch, pages.actions, config.rename_prob, config.position_jitter, self._generator)
+        read = net.encode(net.encoder(batch), pages.actions).flatten(0, 1)
+        logits = net.head(read).view(len(batch), -1)
         if config.form == "airl":
-            with torch.no_grad():
-                logp, _, _ = policy.evaluate(page, actions)  # by the page's own words, which are all that it knows
-            logits = logits - logp.flatten()
-        parts = dict(zip(sources, logits.split([len(steps) for _, steps in sources.values()]), strict=True))
+            with torch.no_grad():  # by the page's own words, which are all that the policy knows
+                logp, _ = policy.evaluate(policy.encoder(pages.batch), pages.actions)
+            logits = logits - logp
+        parts = {name: logits[rows, column] for name, (_, rows, column) in pages.sources.items()}
         counted = {
             name: trimmed(part, config.discard_top_fraction) if name in OWN else part for name, part in parts.items()
         }
-        loss = logistic_loss(parts[EXPERT], [(w, counted[name]) for name, (w, _) in sources.items() if name != EXPERT])
-        penalty = config.gradient_penalty * gradient_penalty(logits, [read]) if config.gradient_penalty else 0 * loss
+        negatives = [(w, counted[name]) for name, (w, *_) in pages.sources.items() if name != EXPERT]
+        loss = logistic_loss(parts[EXPERT], negatives)
+        penalty = 0 * loss
+        if config.gradient_penalty:
+            used = torch.cat(list(parts.values()))
+            penalty = config.gradient_penalty * gradient_penalty(used, [read]) * len(read) / len(used)
         self.optimiser.zero_grad()
         (loss + penalty).backward()
         self.optimiser.step()
@@ -161,3 +192,9 @@ class Discriminator:
             right = part > 0 if name == EXPERT else part < 0
             stats[ACCURACY + name] = right.float().mean().item()
         return stats
+
+
+def _over(first: ActionBatch, all_: ActionBatch) -> ActionBatch:
+    """[B, M] `all_`, whose first rows are replaced."""
+    columns = {f.name: (getattr(first, f.name), getattr(all_, f.name)) for f in fields(ActionBatch)}
+    return ActionBatch(**{name: torch.cat([top, rest[len(top) :]]) for name, (top, rest) in columns.items()})

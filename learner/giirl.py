@@ -30,5 +30,5 @@ def giirl(
         expert = demos.sample(config.discriminator.batch)  # tau_E, g_E from D_E
         d = discriminator.update(expert, rollouts, policy.net)  # binary logistic regression (eq. 3.2)
         rewards = discriminator.rewards(rollouts, version=step + 1)  # r(s, a | g) = log D - log(1 - D)
-        p = policy.update(rollouts, rewards, discriminator.reward_fn)  # policy optimisation (eq. 3.1)
+        p = policy.update(rollouts, rewards)  # policy optimisation (eq. 3.1)
         observe(step, {**d, **p})

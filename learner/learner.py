@@ -21,7 +21,7 @@ from giirl_core.types import Episode, Outcome, Trajectory, Weights
 from giirl_core.wire.messages import read_episodes, write_episodes
 from learner.actor_critic import ActorCritic
 from learner.cloning import Cloner
-from learner.data import Example, ExpertSampler, Replay, featurise_trajectory
+from learner.data import Example, ExpertSampler, Replay, carried_rewards, featurise_trajectory
 from learner.discriminator import Discriminator
 from learner.schedules import anneal, anneal_reward, linear_decay
 from learner.soft_q import SoftQ
@@ -50,7 +50,7 @@ class Learner:
             metrics=metrics,
         )
         net = build_policy(config)
-        self.policy = ActorCritic(config.policy, net, self._generator, metrics=metrics)
+        self.policy = ActorCritic(config.policy, net, metrics=metrics)
         self.cloner = Cloner(config.cloning, net, self._generator, metrics=metrics)
         self.soft_q = SoftQ(
             config.soft_q, config.algorithm, net, self.replay, self._rng, self._generator, metrics=metrics
@@ -63,8 +63,8 @@ class Learner:
         return [featurise_trajectory(trajectory, self.vectors) for trajectory in trajectories]
 
     def carried_rewards(self, rollouts: Sequence[Example]) -> list[Tensor]:
-        """The rewards [T] that rollouts brought along, whoever gave them."""
-        return [torch.from_numpy(example.trajectory.rewards) for example in rollouts]
+        """The rewards [T, 1] that rollouts brought along, whoever gave them."""
+        return [carried_rewards(example) for example in rollouts]
 
     def anneal(self, step: int) -> None:
         """Set the rates of step 0 .. iterations - 1: a reward that still moves unsettles a solved policy."""

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from giirl_core.config import SoftQConfig
 from giirl_core.metrics import Metrics, timed_update
-from giirl_core.nets.features import Batch, collate, rename
+from giirl_core.nets.batch import Batch, collate, rename
 from giirl_core.nets.models import PolicyNet
 from learner.actor_critic import descend
 from learner.data import Example, Replay, Step, collate_steps
@@ -42,7 +42,7 @@ class SoftQ:
     ) -> None:
         self.config, self.form, self.net, self.replay = config, form, net, replay
         self._rng, self._generator, self._metrics = rng, generator, metrics
-        self.optimiser = torch.optim.Adam(net.parameters(), lr=config.learning_rate)
+        self.optimiser = torch.optim.Adam(net.parameters(), lr=config.learning_rate, fused=True)
         # Follows `net` slowly: SQIL's Q moves towards what it says of the next page. The table of words is shared.
         self.target = copy.deepcopy(net, {id(net.encoder.table): net.encoder.table}) if form == "sqil" else net
 
@@ -66,7 +66,9 @@ class SoftQ:
             batch = rename(batch, actions, config.rename_prob, config.position_jitter, self._generator)
             self._generator.set_state(state)
             later = rename(later, actions, config.rename_prob, config.position_jitter, self._generator)
-        logp, entropy, value = self.net.evaluate(batch, actions)
+        seen = self.net.encoder(batch)
+        logp, entropy = self.net.evaluate(seen, actions)
+        value = self.net.state_value(seen)
         goes_on = torch.tensor([there is not None for there in ahead])
         following = self._values_ahead(later, goes_on)
         q = value + config.temperature * logp.squeeze(1)
@@ -91,7 +93,7 @@ class SoftQ:
     def _values_ahead(self, ahead: Batch, goes_on: Tensor) -> Tensor:
         """V(s') [B], 0 where the episode is over. SQIL's stays while Q moves towards it, IQ-Learn's is learned."""
         with torch.set_grad_enabled(self.form == "iq_learn"):
-            return torch.where(goes_on, self.target.value_of(ahead), 0.0)
+            return torch.where(goes_on, self.target.state_value(self.target.encoder(ahead)), 0.0)
 
 
 def _transitions(examples: Sequence[Example], rng: np.random.Generator) -> tuple[list[Step], list[Step | None]]:

@@ -1,268 +1,175 @@
-"""Pages and goals as arrays: what the nets see, and nothing else of the page."""
+"""A page under a goal as arrays: everything the nets see of it, built by vectorised code.
+
+Strings are cut into words once and cached; what is left for each step is comparing arrays of word hashes.
+"""
 
 from __future__ import annotations
 
+import functools
 import zlib
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from giirl_core.nets.language import FIRST_WORD, PADDING, UNKNOWN, Vectors
-from giirl_core.types import NO_SPAN, TOKEN, Action, Goal, Page, Verb
+from giirl_core.nets.language import PADDING, Vectors
+from giirl_core.types import TOKEN, Goal, Page
 
-WORDS = 8  # words of one element's text that are read
+WORDS = 8  # words of one element that are read: its text, then its value
 TAGS = 128  # hash buckets of tag names
-CLASSES = 64  # hash buckets of class names
+CLASSES = 64  # hash buckets of class names, 0 for none
 CLASS_SLOTS = 3
-TOKEN_FLAGS = 6
-ELEMENT_FLAGS = 16
-ELEMENT_OVERLAP, TOKEN_OVERLAP = slice(10, 16), slice(3, 5)  # the columns that say where goal and page agree
-POSITION = slice(0, 4)  # the columns of Features.element_flags that hold left, top, width, height
 WIDTH_PX, HEIGHT_PX = 160.0, 210.0
+
+# Columns of Features.element_ids.
+ELEMENT_WORDS, TAG, CLASS = slice(0, WORDS), WORDS, slice(WORDS + 1, WORDS + 1 + CLASS_SLOTS)
+CLICKABLE, TYPABLE = WORDS + 1 + CLASS_SLOTS, WORDS + 2 + CLASS_SLOTS
+ELEMENT_IDS = WORDS + 3 + CLASS_SLOTS
+# Columns of Features.element_flags: the box as shares of a page, state, then agreement of element and goal.
+POSITION, ELEMENT_OVERLAP, ELEMENT_FLAGS = slice(0, 4), slice(10, 16), 16
+# Columns of Features.token_ids and Features.token_flags.
+WORD, OPEN, TOKEN_IDS = 0, 1, 2
+TOKEN_OVERLAP, TOKEN_FLAGS = slice(3, 5), 6
+MATCH_KINDS = 3  # the whole text, any word, or the value of an element repeats words of the goal
+
+Ids = NDArray[np.int32]
+Floats = NDArray[np.float32]
+Hashes = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Features:
-    """One page under one goal: L goal tokens, E elements."""
+    """One page under one goal: L goal tokens, E elements, K matches between them."""
 
-    token_words: NDArray[np.int64]  # [L] row of the word vectors
-    token_flags: NDArray[np.float32]  # [L, TOKEN_FLAGS]
-    token_open: NDArray[np.bool_]  # [L] words that this page gives their meaning: quoted, or on the page
-    element_words: NDArray[np.int64]  # [E, WORDS] row of the word vectors, 0 beyond the text
-    element_tag: NDArray[np.int64]  # [E]
-    element_classes: NDArray[np.int64]  # [E, CLASS_SLOTS]
-    element_flags: NDArray[np.float32]  # [E, ELEMENT_FLAGS]
-    matches: NDArray[np.float32]  # [3, E, L] whole text, any word of the text, value: where the goal says the same
-    clickable: NDArray[np.bool_]  # [E]
-    typable: NDArray[np.bool_]  # [E]
+    token_ids: Ids  # [L, TOKEN_IDS] row of the word vectors; whether the page gives the word its meaning
+    token_flags: Floats  # [L, TOKEN_FLAGS]
+    element_ids: Ids  # [E, ELEMENT_IDS] rows of the word vectors, tag, classes, clickable, typable
+    element_flags: Floats  # [E, ELEMENT_FLAGS]
+    match_ids: Ids  # [K, 3] element, kind, token: where the goal says the same as an element
+    match_weights: Floats  # [K] sum to 1 over the tokens of one element and kind
+
+
+@dataclass(frozen=True, slots=True)
+class _Text:
+    """A string cut into words; W of them at most are read."""
+
+    rows: Ids  # [WORDS] rows of the word vectors, PADDING beyond the text
+    exact: tuple[str, ...]  # [W] words as written
+    folded: tuple[str, ...]  # [W] in lower case
+    read: Hashes  # [WORDS] of the first of these, 0 beyond the text
+
+
+@dataclass(frozen=True, slots=True)
+class _GoalText:
+    rows: Ids  # [L]
+    exact: tuple[str, ...]  # [L]
+    folded: tuple[str, ...]  # [L] in lower case
+    hashes: Hashes  # [L] of these
+    first: NDArray[np.int64]  # where each different one stands first
+    quoted: NDArray[np.bool_]  # [L] inside a pair of double quotes
+    flags: Floats  # [L, TOKEN_FLAGS], overlap not filled in
+
+
+@functools.lru_cache(maxsize=1 << 16)
+def _read_text(text: str, vectors: Vectors) -> _Text:
+    words = tuple(TOKEN.findall(text))
+    folded = tuple(word.lower() for word in words)
+    rows = np.full(WORDS, PADDING, dtype=np.int32)
+    rows[: len(words)] = [vectors.row(word) for word in words[:WORDS]]
+    read = np.zeros(WORDS, dtype=np.int64)
+    read[: len(words)] = _hashes(folded[:WORDS])
+    return _Text(rows=rows, exact=words, folded=folded, read=read)
+
+
+@functools.lru_cache(maxsize=1 << 12)
+def _read_goal(goal: Goal, vectors: Vectors) -> _GoalText:
+    tokens = goal.tokens
+    quote = np.array([token == '"' for token in tokens])
+    quoted = (np.cumsum(quote) % 2 == 1) & ~quote
+    flags = np.zeros((len(tokens), TOKEN_FLAGS), dtype=np.float32)
+    flags[:, 0], flags[:, 5] = quote, quoted
+    flags[:, 1] = [not token.isalnum() for token in tokens]
+    flags[:, 2] = [token[:1].isupper() for token in tokens]
+    folded = tuple(token.lower() for token in tokens)
+    hashes = _hashes(folded)
+    return _GoalText(
+        rows=np.array([vectors.row(token) for token in tokens], dtype=np.int32),
+        exact=tokens,
+        folded=folded,
+        hashes=hashes,
+        first=np.unique(hashes, return_index=True)[1],
+        quoted=quoted,
+        flags=flags,
+    )
+
+
+@functools.lru_cache(maxsize=1 << 12)
+def _tag_id(tag: str) -> int:
+    return zlib.crc32(tag.encode()) % TAGS
+
+
+@functools.lru_cache(maxsize=1 << 14)
+def _class_ids(classes: str) -> tuple[int, ...]:
+    ids = [1 + zlib.crc32(name.encode()) % (CLASSES - 1) for name in classes.split()[:CLASS_SLOTS]]
+    return (*ids, *[0] * (CLASS_SLOTS - len(ids)))
+
+
+def _hashes(words: Sequence[str]) -> Hashes:
+    """Python's own 64-bit hashes: equal for equal words, in this process alone."""
+    return np.array([hash(word) for word in words], dtype=np.int64)
 
 
 def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
     """Arrays for one page under one goal. Overlap is exact in case and spelling unless it says `folded`."""
-    tokens, folded = goal.tokens, [token.lower() for token in goal.tokens]
-    quoted = _quoted(goal)
-    count, length = len(page), len(tokens)
+    words, count, length = _read_goal(goal, vectors), len(page), len(goal.tokens)
+    texts = [_read_text(text, vectors) for text in page.text]
+    values = {e: _read_text(value, vectors) for e, value in enumerate(page.value) if value}
+    ids = np.zeros((count, ELEMENT_IDS), dtype=np.int32)
+    folded = np.zeros((count, WORDS), dtype=np.int64)  # of the words that are read; 0 beyond them
+    if count:
+        ids[:, ELEMENT_WORDS] = np.concatenate([text.rows for text in texts]).reshape(count, WORDS)
+        ids[:, TAG] = [_tag_id(tag) for tag in page.tag]
+        ids[:, CLASS] = [_class_ids(classes) for classes in page.classes]
+        folded = np.concatenate([text.read for text in texts]).reshape(count, WORDS)
+    for e, value in values.items():
+        used = min(len(texts[e].exact), WORDS)
+        ids[e, used:WORDS], folded[e, used:] = value.rows[: WORDS - used], value.read[: WORDS - used]
     leaf, typable = page.leaf, page.typable
-    words = np.full((count, WORDS), PADDING, dtype=np.int64)
-    tags = np.zeros(count, dtype=np.int64)
-    classes = np.zeros((count, CLASS_SLOTS), dtype=np.int64)
+    ids[:, CLICKABLE], ids[:, TYPABLE] = leaf, typable
+    matches = np.zeros((count, MATCH_KINDS, length), dtype=np.bool_)
+    matches[:, 1] = (folded[:, :, None] == words.hashes).any(axis=1)
     flags = np.zeros((count, ELEMENT_FLAGS), dtype=np.float32)
-    matches = np.zeros((3, count, length), dtype=np.float32)
     flags[:, POSITION] = page.box / (WIDTH_PX, HEIGHT_PX, WIDTH_PX, HEIGHT_PX)
-    on_page: set[str] = set()
-    for e in range(count):
-        text, value = _words(page.text[e]), _words(page.value[e])
-        read = (*text, *value)[:WORDS]
-        words[e, : len(read)] = [vectors.row(word) for word in read]
-        tags[e] = zlib.crc32(page.tag[e].encode()) % TAGS
-        named = page.classes[e].split()[:CLASS_SLOTS]
-        classes[e, : len(named)] = [1 + zlib.crc32(name.encode()) % (CLASSES - 1) for name in named]
-        lower = {word.lower() for word in read}
-        on_page |= lower
-        whole, held = _cover(tokens, text), _cover(tokens, value)
-        matches[:, e] = whole, [token in lower for token in folded], held
-        flags[e, 4:] = (
-            page.focused[e],
-            page.tampered[e],
-            leaf[e],
-            typable[e],
-            bool(text),
-            bool(value),
-            whole.any(),
-            bool((whole * quoted).any()),
-            _cover(folded, [word.lower() for word in text]).any(),
-            len(lower & set(folded)) / max(len(lower), 1),
-            held.any(),
-            bool((held * quoted).any()),
-        )
+    flags[:, 4], flags[:, 5], flags[:, 6], flags[:, 7] = page.focused, page.tampered, leaf, typable
+    flags[:, 8] = [len(text.exact) > 0 for text in texts]
+    for e in np.flatnonzero(matches[:, 1].any(axis=1)).tolist():
+        for start in _runs(words.exact, texts[e].exact):
+            matches[e, 0, start : start + len(texts[e].exact)] = True
+        flags[e, 12] = any(True for _ in _runs(words.folded, texts[e].folded))
+        flags[e, 13] = matches[e, 1, words.first].sum() / len({*folded[e].tolist()} - {0})
+    for e, value in values.items():
+        flags[e, 9] = len(value.exact) > 0
+        for start in _runs(words.exact, value.exact):
+            matches[e, 2, start : start + len(value.exact)] = True
+    flags[:, 10], flags[:, 11] = matches[:, 0].any(axis=1), (matches[:, 0] & words.quoted).any(axis=1)
+    flags[:, 14], flags[:, 15] = matches[:, 2].any(axis=1), (matches[:, 2] & words.quoted).any(axis=1)
+    token_flags, on_page = words.flags.copy(), matches[:, 1].any(axis=0)
+    token_flags[:, 3], token_flags[:, 4] = on_page, matches[:, 2].any(axis=0)
+    elements, kinds, tokens = np.nonzero(matches)
     return Features(
-        token_words=np.array([vectors.row(token) for token in tokens], dtype=np.int64),
-        token_flags=np.stack(
-            [
-                np.array([token == '"' for token in tokens]),
-                np.array([not token.isalnum() for token in tokens]),
-                np.array([token[:1].isupper() for token in tokens]),
-                np.array([token in on_page for token in folded]),
-                matches[2].any(axis=0) if count else np.zeros(length, dtype=np.bool_),
-                quoted,
-            ],
-            axis=1,
-        ).astype(np.float32),
-        token_open=quoted | np.array([token in on_page for token in folded]),
-        element_words=words,
-        element_tag=tags,
-        element_classes=classes,
+        token_ids=np.stack([words.rows, words.quoted | on_page], axis=1, dtype=np.int32),
+        token_flags=token_flags,
+        element_ids=ids,
         element_flags=flags,
-        matches=_spread(matches),
-        clickable=leaf,
-        typable=typable,
+        match_ids=np.stack([elements, kinds, tokens], axis=1).astype(np.int32),
+        match_weights=(1.0 / matches.sum(axis=2)[elements, kinds]).astype(np.float32),
     )
 
 
-def _words(text: str) -> list[str]:
-    return [match.group() for match in TOKEN.finditer(text)] if text else []
-
-
-def _quoted(goal: Goal) -> NDArray[np.bool_]:
-    """[L] True for words between a pair of double quotes."""
-    marks = np.cumsum([token == '"' for token in goal.tokens])
-    inside: NDArray[np.bool_] = (marks % 2 == 1) & np.array([token != '"' for token in goal.tokens])
-    return inside
-
-
-def _cover(tokens: Sequence[str], words: Sequence[str]) -> NDArray[np.float32]:
-    """[L] 1 where `words`, whole and in order, stand in `tokens`."""
-    covered = np.zeros(len(tokens), dtype=np.float32)
-    if words:
-        first, n = words[0], len(words)
-        for start in range(len(tokens) - n + 1):
-            if tokens[start] == first and list(tokens[start : start + n]) == list(words):
-                covered[start : start + n] = 1.0
-    return covered
-
-
-def _spread(matches: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Each row sums to 1 or 0, so that a match reads the mean of the words it covers."""
-    total = matches.sum(axis=2, keepdims=True)
-    spread: NDArray[np.float32] = np.divide(matches, total, out=matches, where=total > 0)
-    return spread
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Batch:
-    """Features of B pages, padded to the longest goal and the fullest page. Fields as in Features."""
-
-    token_words: Tensor  # [B, L] int64
-    token_flags: Tensor  # [B, L, TOKEN_FLAGS]
-    token_open: Tensor  # [B, L] bool
-    token_mask: Tensor  # [B, L] bool, True for real tokens
-    element_words: Tensor  # [B, E, WORDS] int64
-    element_tag: Tensor  # [B, E] int64
-    element_classes: Tensor  # [B, E, CLASS_SLOTS] int64
-    element_flags: Tensor  # [B, E, ELEMENT_FLAGS]
-    element_mask: Tensor  # [B, E] bool, True for real elements
-    matches: Tensor  # [B, 3, E, L]
-    clickable: Tensor  # [B, E] bool
-    typable: Tensor  # [B, E] bool
-
-    def __len__(self) -> int:
-        return int(self.token_words.shape[0])
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ActionBatch:
-    """M actions on each of B pages: verb, element and the span of the goal that is copied (-1 where none)."""
-
-    verb: Tensor  # [B, M] int64
-    element: Tensor  # [B, M] int64
-    start: Tensor  # [B, M] int64
-    end: Tensor  # [B, M] int64
-
-    def first(self) -> list[Action]:
-        """The first action of each page."""
-        columns = (part[:, 0].tolist() for part in (self.verb, self.element, self.start, self.end))
-        return [
-            Action(verb=Verb(verb), element=element, start=start, end=end)
-            for verb, element, start, end in zip(*columns, strict=True)
-        ]
-
-
-def collate(rows: Sequence[Features]) -> Batch:
-    """Pad and stack; an empty sequence is an error of ours."""
-    assert rows, "collate needs at least one page"
-    size = len(rows)
-    length = max(len(row.token_words) for row in rows)
-    count = max(1, max(len(row.element_tag) for row in rows))
-    arrays: dict[str, NDArray[np.generic]] = {
-        "token_words": np.full((size, length), PADDING, dtype=np.int64),
-        "token_flags": np.zeros((size, length, TOKEN_FLAGS), dtype=np.float32),
-        "token_open": np.zeros((size, length), dtype=np.bool_),
-        "token_mask": np.zeros((size, length), dtype=np.bool_),
-        "element_words": np.full((size, count, WORDS), PADDING, dtype=np.int64),
-        "element_tag": np.zeros((size, count), dtype=np.int64),
-        "element_classes": np.zeros((size, count, CLASS_SLOTS), dtype=np.int64),
-        "element_flags": np.zeros((size, count, ELEMENT_FLAGS), dtype=np.float32),
-        "element_mask": np.zeros((size, count), dtype=np.bool_),
-        "matches": np.zeros((size, 3, count, length), dtype=np.float32),
-        "clickable": np.zeros((size, count), dtype=np.bool_),
-        "typable": np.zeros((size, count), dtype=np.bool_),
-    }
-    for b, row in enumerate(rows):
-        n, e = len(row.token_words), len(row.element_tag)
-        arrays["token_mask"][b, :n] = True
-        arrays["element_mask"][b, :e] = True
-        arrays["matches"][b, :, :e, :n] = row.matches
-        for name in ("token_words", "token_flags", "token_open"):
-            arrays[name][b, :n] = getattr(row, name)
-        for name in ("words", "tag", "classes", "flags"):
-            arrays[f"element_{name}"][b, :e] = getattr(row, f"element_{name}")
-        arrays["clickable"][b, :e] = row.clickable
-        arrays["typable"][b, :e] = row.typable
-    return Batch(**{name: torch.from_numpy(array) for name, array in arrays.items()})
-
-
-def collate_actions(actions: Sequence[Action]) -> ActionBatch:
-    """One action for each of B pages."""
-    verb, element, start, end = _table(actions).unsqueeze(2)
-    return ActionBatch(verb=verb, element=element, start=start, end=end)
-
-
-def collate_choices(actions: Sequence[Action]) -> ActionBatch:
-    """M actions on one page."""
-    verb, element, start, end = _table(actions).unsqueeze(1)
-    return ActionBatch(verb=verb, element=element, start=start, end=end)
-
-
-def _table(actions: Sequence[Action]) -> Tensor:
-    """[4, B]: verb, element, start, end."""
-    table = np.array([(a.verb, a.element, a.start, a.end) for a in actions], dtype=np.int64).reshape(-1, 4)
-    return torch.from_numpy(table).T.contiguous()
-
-
-def rename(batch: Batch, actions: ActionBatch, chance: float, jitter: float, generator: torch.Generator) -> Batch:
-    """The same pages, with one action each, in other words: open words become random ones, alike in goal and page.
-
-    A row is renamed with probability `chance`; overlap features stay as they are, since renaming is
-    consistent. Positions of such a row shift together by up to `jitter` of the page. A net that sees this
-    must read which words agree, and cannot remember which pages were demonstrated.
-    """
-    size = len(batch)
-    chosen = torch.rand(size, generator=generator) < chance
-    salt = torch.randint(1, 1 << 30, (size,), generator=generator) | 1
-    rows = torch.arange(batch.token_words.shape[1])
-    typed = (rows >= actions.start) & (rows <= actions.end) & (actions.start != NO_SPAN)
-    opened = (batch.token_open | typed) & (batch.token_words >= FIRST_WORD) & chosen[:, None]
-    shift = (torch.rand(size, 1, 2, generator=generator) * 2 - 1) * jitter * chosen[:, None, None]
-    flags = batch.element_flags.clone()
-    flags[:, :, :2] += shift
-    return replace(
-        batch,
-        token_words=torch.where(opened, _other(batch.token_words, salt[:, None]), batch.token_words),
-        element_words=torch.where(
-            (batch.element_words >= FIRST_WORD) & chosen[:, None, None],
-            _other(batch.element_words, salt[:, None, None]),
-            batch.element_words,
-        ),
-        element_flags=flags,
-    )
-
-
-def without_overlap(batch: Batch) -> Batch:
-    """The same pages, with nothing that says where goal and page agree: a study's question, what words alone do."""
-    tokens, elements = batch.token_flags.clone(), batch.element_flags.clone()
-    tokens[:, :, TOKEN_OVERLAP] = 0.0
-    elements[:, :, ELEMENT_OVERLAP] = 0.0
-    return replace(batch, token_flags=tokens, element_flags=elements, matches=torch.zeros_like(batch.matches))
-
-
-COMMON_WORDS = 4000  # renamed words come from this many of the commonest, whatever the table
-
-
-def _other(words: Tensor, salt: Tensor) -> Tensor:
-    """A word that depends on the old word and the salt alone; one in eight is a word the table lacks."""
-    mixed = ((words * 2654435761 + salt * 40503) ^ (salt >> 3)) & 0x7FFFFFFF
-    return torch.where(mixed % 8 == 0, UNKNOWN, FIRST_WORD + (mixed >> 3) % COMMON_WORDS)
+def _runs(tokens: tuple[str, ...], words: tuple[str, ...]) -> Iterator[int]:
+    """Where `words`, whole and in order, begin in `tokens`."""
+    if words and words[0] in tokens:
+        for start in range(tokens.index(words[0]), len(tokens) - len(words) + 1):
+            if tokens[start : start + len(words)] == words:
+                yield start

@@ -11,7 +11,15 @@ from torch import Tensor
 from torch.nn import functional
 
 from giirl_core.config import Config
-from giirl_core.nets.features import collate, collate_actions, collate_choices, featurise
+from giirl_core.nets.batch import (
+    ActionBatch,
+    collate,
+    collate_actions,
+    collate_choices,
+    collate_sampled,
+    join,
+)
+from giirl_core.nets.features import Features, featurise
 from giirl_core.nets.language import Vectors, load_vectors
 from giirl_core.nets.models import PolicyNet, RewardNet
 from giirl_core.nets.parameters import load_net
@@ -44,15 +52,15 @@ def reward_of(logit: Tensor, form: str, clip: float) -> Tensor:
 
 
 def episode_rewards(logits: Tensor, lengths: Sequence[int], form: str, clip: float) -> list[Tensor]:
-    """The rewards [T] of whole episodes from the logits [sum T] of all their steps.
+    """The rewards [T, ...] of whole episodes from the logits [sum T, ...] of all their steps.
 
     `goal` asks whether an episode ended where it should, so it pays for the last step alone.
     """
     rewards = reward_of(logits, form, clip)
-    parts = list(rewards.split(list(lengths)))
     if form == "goal":
-        parts = [functional.pad(part[-1:], (len(part) - 1, 0)) for part in parts]
-    return parts
+        last = torch.tensor(lengths).cumsum(0) - 1
+        rewards = torch.zeros_like(rewards).index_copy(0, last, rewards[last])
+    return list(rewards.split(list(lengths)))
 
 
 class RewardModel:
@@ -61,32 +69,35 @@ class RewardModel:
     def __init__(self, net: RewardNet, vectors: Vectors, form: str, clip: float) -> None:
         self.net, self.vectors, self.form, self.clip = net, vectors, form, clip
 
+    @property
+    def device(self) -> torch.device:
+        """Where the net computes."""
+        return self.net.absent.device
+
     def score_pairs(self, pages: Sequence[Page], actions: Sequence[Action], goals: Sequence[Goal]) -> Tensor:
         """[B] rewards of B (page, action, goal) triples."""
-        return reward_of(self._logits(pages, actions, goals), self.form, self.clip)
+        rows = [featurise(page, goal, self.vectors) for page, goal in zip(pages, goals, strict=True)]
+        return reward_of(self._logits(rows, collate_actions(actions)).squeeze(1), self.form, self.clip)
 
-    @torch.no_grad()
     def score_actions(self, page: Page, goal: Goal, actions: Sequence[Action]) -> NDArray[np.float32]:
         """[M] rewards of M actions on one page, which is read once."""
-        self.net.eval()
-        logits = self.net(collate([featurise(page, goal, self.vectors)]), collate_choices(actions))
+        logits = self._logits([featurise(page, goal, self.vectors)], collate_choices(actions))
         return reward_of(logits.squeeze(0), self.form, self.clip).numpy()
 
     def score(self, trajectories: Sequence[Trajectory]) -> list[NDArray[np.float32]]:
-        """For each trajectory its [T] rewards."""
-        pages = [page for trajectory in trajectories for page in trajectory.pages]
-        actions = [action for trajectory in trajectories for action in trajectory.actions]
-        goals = [trajectory.goal for trajectory in trajectories for _ in trajectory.pages]
-        logits = self._logits(pages, actions, goals)
+        """For each trajectory its [T, 1 + M] rewards: of the action taken on each page, then of the sampled ones."""
+        rows = [featurise(page, t.goal, self.vectors) for t in trajectories for page in t.pages]
+        taken = collate_actions([action for trajectory in trajectories for action in trajectory.actions])
+        logits = self._logits(rows, join(taken, collate_sampled(trajectories)[0]))
         lengths = [len(trajectory) for trajectory in trajectories]
         return [part.numpy() for part in episode_rewards(logits, lengths, self.form, self.clip)]
 
     @torch.no_grad()
-    def _logits(self, pages: Sequence[Page], actions: Sequence[Action], goals: Sequence[Goal]) -> Tensor:
-        rows = [featurise(page, goal, self.vectors) for page, goal in zip(pages, goals, strict=True)]
+    def _logits(self, rows: Sequence[Features], actions: ActionBatch) -> Tensor:
+        """[B, M] logits of M actions on each of B pages, on the CPU."""
         self.net.eval()
-        logits: Tensor = self.net(collate(rows), collate_actions(actions)).squeeze(1)
-        return logits
+        logits: Tensor = self.net(collate(rows).to(self.device), actions.to(self.device))
+        return logits.cpu()
 
 
 def build_reward(config: Config, weights: Weights | None = None) -> RewardModel:
