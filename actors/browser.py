@@ -19,7 +19,7 @@ def open_browser(config: Config, metrics: Metrics) -> Browser:
         tabs=config.actors.tabs,
         call_timeout_s=config.actors.call_timeout_s,
         launch_timeout_s=config.actors.launch_timeout_s,
-        on_restart=lambda cause: metrics.browser_restarts.labels(cause).inc(),
+        on_restart=lambda cause: metrics.browser_recoveries.labels(cause).inc(),
     )
 
 

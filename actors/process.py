@@ -16,7 +16,7 @@ from actors.worker import Orphaned, Worker, WorkerLimits
 from giirl_core.config import MAX_ACTORS
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.reward import build_policy
-from giirl_core.processes.worker_process import ORPHAN_S, TICK_S, WorkerProcess
+from giirl_core.processes.worker_process import ORPHAN_TIMEOUT_S, TICK_S, WorkerProcess
 from giirl_core.types import Purpose, Weights
 from giirl_core.wire.score_client import ScoreClient
 from giirl_core.wire.transport import Keys
@@ -65,7 +65,7 @@ class ActorProcess(WorkerProcess):
             )
             open_things.callback(client.close)
             limits = WorkerLimits(
-                step_limit=config.step_limit, lock_step=config.stream.policy_lag == 0, orphan_s=ORPHAN_S
+                step_limit=config.step_limit, lock_step=config.stream.policy_lag == 0, orphan_s=ORPHAN_TIMEOUT_S
             )
             schedule = self._share(browser.tabs) if limits.lock_step else self._pages(browser.tabs, first)
             worker = Worker(browser, chooser, schedule, client, uplink, limits=limits, metrics=metrics)

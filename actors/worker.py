@@ -119,7 +119,7 @@ class Worker:
         """The learner scores it."""
         assert isinstance(episode, Episode)
         assert episode.trajectory.reward_version == UNSCORED
-        self._metrics.scoring_given_up.inc()
+        self._metrics.episodes_unscored.inc()
         self._uplink.offer(episode)
 
     def _play(self, schedule: Schedule) -> None:

@@ -25,7 +25,7 @@ import psutil
 
 from actors.episode_counter import read_counts
 from giirl_core.files import atomic_write
-from giirl_core.processes.supervision import CRASHES
+from giirl_core.processes.supervision import MAX_CRASHES
 from giirl_core.progress import Display, Job
 from learner.checkpoint import latest_checkpoint
 from tests.end_to_end.cluster import ray_cluster
@@ -123,7 +123,7 @@ def _version(port: int) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "--times", type=int, default=3, choices=range(1, CRASHES - 1), help="kills of each; more are a crash loop"
+        "--times", type=int, default=3, choices=range(1, MAX_CRASHES - 1), help="kills of each; more are a crash loop"
     )
     parser.add_argument("--json", type=Path, help="write the numbers here")
     arguments = parser.parse_args()

@@ -1,1 +1,1 @@
-"""giirl_core."""
+"""The vocabulary that every package shares: types, configuration, metrics, sockets, processes, nets."""

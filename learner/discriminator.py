@@ -71,8 +71,8 @@ class Discriminator:
         carried = [scored != UNSCORED and 0 <= version - scored <= self._reward_lag for scored in versions]
         stale = [example for example, fresh in zip(rollouts, carried, strict=True) if not fresh]
         again = iter(self._score(stale))
-        self._metrics.rewards_used.labels("service").inc(sum(carried))
-        self._metrics.rewards_used.labels("learner").inc(len(stale))
+        self._metrics.trajectories_trained.labels("service").inc(sum(carried))
+        self._metrics.trajectories_trained.labels("learner").inc(len(stale))
         return [
             torch.tensor(example.trajectory.rewards) if fresh else next(again)
             for example, fresh in zip(rollouts, carried, strict=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from giirl_core.processes.worker_process import ORPHAN_S, TICK_S, WorkerProcess
+from giirl_core.processes.worker_process import ORPHAN_TIMEOUT_S, TICK_S, WorkerProcess
 from giirl_core.types import Weights
 from giirl_core.wire.transport import Keys
 from reward_service.service import RewardService, Scorer
@@ -61,13 +61,13 @@ class RewardProcess(WorkerProcess):
 
     @property
     def _orphaned(self) -> bool:
-        return time.monotonic() - self._heard_s > ORPHAN_S
+        return time.monotonic() - self._heard_s > ORPHAN_TIMEOUT_S
 
     def stop(self) -> None:
         self._stopped.set()
 
     def _scorer(self, weights: Weights) -> Scorer:
-        self._reading.join()
+        self._preload_thread.join()
         from giirl_core.nets.reward import build_reward
 
         return build_reward(self._config, weights).score

@@ -213,7 +213,7 @@ class RewardService:
     def _reply(self, request: _Request, reply: ScoreReply, *, result: str) -> None:
         sent = self._router.send(request.peer, encode_reply(reply))
         self._metrics.scoring_requests.labels(result if sent else "unreachable").inc()
-        self._metrics.scoring_seconds.observe(time.monotonic() - request.since_s)
+        self._metrics.scoring_duration.observe(time.monotonic() - request.since_s)
 
 
 def _check(rewards: Sequence[NDArray[np.float32]], trajectories: Sequence[Trajectory]) -> None:

@@ -1,1 +1,1 @@
-"""nets."""
+"""Word vectors, page features, the policy and reward nets, and their parameters as bytes."""

@@ -1,1 +1,1 @@
-"""processes."""
+"""Worker processes, their supervision, and Ray as the platform that runs them."""

@@ -1,1 +1,1 @@
-"""wire."""
+"""Messages between processes, and the sockets that carry them."""

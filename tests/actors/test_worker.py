@@ -73,7 +73,7 @@ def test_what_nobody_scored_is_handed_over_unscored_when_an_actor_ends() -> None
         made.run()
     assert uplink.offered == [finished]
     assert uplink.flushed
-    assert metrics.registry.get_sample_value("giirl_scoring_given_up_total") == 1
+    assert metrics.registry.get_sample_value("giirl_episodes_unscored_total") == 1
 
 
 def test_an_actor_that_is_refused_hands_nothing_over() -> None:

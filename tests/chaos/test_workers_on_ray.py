@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from actors.episode_counter import read_counts
-from giirl_core.processes.supervision import CRASHES
+from giirl_core.processes.supervision import MAX_CRASHES
 from learner.checkpoint import latest_checkpoint
 from learner.stream.snapshot import IngestSnapshot
 from tests.end_to_end.cluster import ray_cluster
@@ -70,8 +70,10 @@ def test_a_run_whose_actor_dies_whenever_it_begins_gives_up_saves_and_says_so(fu
 
         command.until(given_up, "end of the run", timeout_s=START_S)
         assert command.wait() == 1
-        assert re.search(r"giirl: 0 of 1 actors are left, wanted 1 \(actors.minimum\): .+", command.err), command.err
-        assert len(begun) == CRASHES
+        assert re.search(r"giirl: 0 of 1 actors are left, wanted 1 \(actors.min_healthy\): .+", command.err), (
+            command.err
+        )
+        assert len(begun) == MAX_CRASHES
         assert command.remains() == []
         assert latest_checkpoint(run / "checkpoints").is_dir()
 

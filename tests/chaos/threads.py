@@ -10,7 +10,7 @@ from concurrent.futures import Future, TimeoutError
 from threading import Thread
 from typing import Any
 
-from giirl_core.processes.supervision import Gone
+from giirl_core.processes.supervision import ProcessDied
 
 
 class ThreadCall:
@@ -31,9 +31,9 @@ class ThreadCall:
         try:
             return self._future.result(timeout_s)
         except TimeoutError:
-            raise Gone(f"no answer within {timeout_s} s") from None
+            raise ProcessDied(f"no answer within {timeout_s} s") from None
         except Exception as error:
-            raise Gone(f"{type(error).__name__}: {error}") from error
+            raise ProcessDied(f"{type(error).__name__}: {error}") from error
 
 
 class ThreadProcess:

@@ -88,7 +88,7 @@ def _see_healthy(command: Command, seen: Survival) -> None:
         seen.healthy = {job: try_scrape(seen.run, job) for job in jobs}
         return (
             all(seen.healthy.values())
-            and total(seen.healthy["learner"], "giirl_rewards_used_total", source="service") > 0
+            and total(seen.healthy["learner"], "giirl_trajectories_trained_total", reward_source="service") > 0
         )
 
     command.until(lambda: step(seen.run) > 0, "first iteration")
@@ -113,7 +113,7 @@ def _kill_chrome(command: Command, seen: Survival) -> None:
 
     before = total(try_scrape(seen.run, "actor-0"), "giirl_env_steps_total")
     _chrome(_find(command, "ray::ActorProcess")).send_signal(signal.SIGKILL)
-    restarted = ("giirl_browser_restarts_total", "browser_died")
+    restarted = ("giirl_browser_recoveries_total", "browser_died")
     command.until(lambda: total(try_scrape(seen.run, "actor-0"), restarted[0], cause=restarted[1]) > 0, "new Chrome")
     before = total(try_scrape(seen.run, "actor-0"), "giirl_env_steps_total")
     command.until(recovered, "steps in the new Chrome")

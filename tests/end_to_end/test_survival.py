@@ -22,18 +22,18 @@ SHOWN = {
         "giirl_trajectories_received_total",
         "giirl_policy_version",
         "giirl_reward_version",
-        "giirl_policy_lag_count",
-        "giirl_reward_lag_count",
-        "giirl_updates_total",
-        "giirl_update_seconds_count",
-        "giirl_rewards_used_total",
-        "giirl_discriminator_accuracy",
+        "giirl_policy_lag_versions_count",
+        "giirl_reward_lag_versions_count",
+        "giirl_gradient_updates_total",
+        "giirl_gradient_update_duration_seconds_count",
+        "giirl_trajectories_trained_total",
+        "giirl_discriminator_accuracy_ratio",
         "giirl_waiting_seconds_total",
     },
     "reward-service-0": {
         "giirl_reward_version",
         "giirl_scoring_requests_total",
-        "giirl_scoring_seconds_count",
+        "giirl_scoring_duration_seconds_count",
         "giirl_waiting_seconds_total",
     },
 }
@@ -75,17 +75,17 @@ def test_metrics_are_told_apart_by_what_they_count(survival: Survival) -> None:
     for task in TASKS:
         assert total(survival.healthy["actor-0"], "giirl_episodes_total", task=task) > 0
     for network in ("policy", "reward"):
-        assert total(learner, "giirl_updates_total", network=network) > 0, network
-    accuracy = {dict(labels)["source"]: v for (name, labels), v in learner.items() if name.endswith("_accuracy")}
+        assert total(learner, "giirl_gradient_updates_total", network=network) > 0, network
+    accuracy = {dict(labels)["source"]: v for (name, labels), v in learner.items() if name.endswith("_accuracy_ratio")}
     assert {"expert", "rollouts"} <= set(accuracy)
     assert all(0 <= share <= 1 for share in accuracy.values())
-    assert total(learner, "giirl_waiting_seconds_total", what="rollouts") > 0
-    assert total(learner, "giirl_policy_lag_count") > 0
-    assert total(learner, "giirl_reward_lag_count") > 0
+    assert total(learner, "giirl_waiting_seconds_total", reason="rollouts") > 0
+    assert total(learner, "giirl_policy_lag_versions_count") > 0
+    assert total(learner, "giirl_reward_lag_versions_count") > 0
 
 
 def test_the_rewards_of_the_service_reach_the_update(survival: Survival) -> None:
-    by_service = total(survival.learner, "giirl_rewards_used_total", source="service")
+    by_service = total(survival.learner, "giirl_trajectories_trained_total", reward_source="service")
 
     assert by_service > 0
 
@@ -98,7 +98,7 @@ def test_prometheus_finds_every_process_through_the_file_of_the_run(survival: Su
 
 
 def test_an_actor_whose_chrome_was_killed_plays_on_in_another(survival: Survival) -> None:
-    assert total(survival.after_chrome, "giirl_browser_restarts_total", cause="browser_died") == 1
+    assert total(survival.after_chrome, "giirl_browser_recoveries_total", cause="browser_died") == 1
     assert total(survival.after_chrome, "giirl_episodes_total", outcome="lost") > 0
     assert total(survival.after_chrome, "giirl_episodes_total", outcome="success") > 0
 

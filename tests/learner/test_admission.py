@@ -211,8 +211,8 @@ def test_the_lag_of_what_is_taken_is_observed() -> None:
     learner.episode(0, policy_version=1)
     learner.seeds(1)
     registry = learner.metrics.registry
-    assert registry.get_sample_value("giirl_policy_lag_sum") == 2
-    assert registry.get_sample_value("giirl_reward_lag_sum") == 1
+    assert registry.get_sample_value("giirl_policy_lag_versions_sum") == 2
+    assert registry.get_sample_value("giirl_reward_lag_versions_sum") == 1
 
 
 def test_limits_that_let_nothing_in_are_refused() -> None:
