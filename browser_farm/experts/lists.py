@@ -68,7 +68,7 @@ DIGITS = (  # rows of four boxes from the top, 8 4 2 1
 
 
 def _box_beside(see: PageView, label: int) -> int:
-    return next(row for row in see.page.below(label) if see.page.tag[row] in ("input_checkbox", "input_radio"))
+    return next(row for row in see.page.descendants(label) if see.page.tag[row] in ("input_checkbox", "input_radio"))
 
 
 def _check(see: PageView, wanted: set[str]) -> Action:

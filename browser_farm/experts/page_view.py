@@ -48,7 +48,7 @@ class PageView:
     ) -> list[int]:
         """Rows with this tag, this text, this among their classes, somewhere below this row."""
         page = self.page
-        rows = range(len(page)) if inside is None else self.page.below(inside)
+        rows = range(len(page)) if inside is None else self.page.descendants(inside)
         return [
             row
             for row in rows
@@ -81,11 +81,11 @@ class PageView:
 
     def reading(self, row: int) -> str:
         """All the text of a row and what is in it."""
-        return " ".join(self.page.text[each] for each in (row, *self.page.below(row)) if self.page.text[each])
+        return " ".join(self.page.text[each] for each in (row, *self.page.descendants(row)) if self.page.text[each])
 
     def leaf(self, row: int) -> int:
         """The first leaf of a row, itself where it is one: what a policy may click."""
-        below = self.page.below(row)
+        below = self.page.descendants(row)
         return next((each for each in below if self.page.leaf[each]), row)
 
     def has(self, row: int, kind: str) -> bool:

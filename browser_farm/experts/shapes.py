@@ -14,7 +14,7 @@ SIDES = {"triangle": "3", "quadrilateral": "4", "pentagon": "5", "hexagon": "6",
 
 def shapes(see: PageView) -> list[int]:
     """What is drawn."""
-    return [row for row in see.page.below(see.row("svg")) if see.page.tag[row] in ("text", *KINDS)]
+    return [row for row in see.page.descendants(see.row("svg")) if see.page.tag[row] in ("text", *KINDS)]
 
 
 def kind(see: PageView, row: int) -> str:

@@ -15,7 +15,7 @@ from browser_farm.chrome.answers import Failure
 from browser_farm.chrome.devtools import BrowserGone
 from browser_farm.chrome.tabs import Tabs
 from browser_farm.tasks import page_url
-from giirl_core.keys import chord
+from giirl_core.keys import parse_chord
 from giirl_core.types import (
     DEMONSTRATION,
     NO_ELEMENT,
@@ -142,7 +142,7 @@ def action_of(page: Page, goal: Goal, told: list[Any], after: Page | None) -> Ac
         return Action(verb=Verb.TYPE, element=row, start=start, end=end, literal=text if start == NO_SPAN else "")
     if verb == Verb.PRESS:
         try:
-            chord(text)
+            parse_chord(text)
         except ValueError:
             return None  # a key for volume, a picture of the screen, ...
         return Action(verb=Verb.PRESS, element=row, literal=text)
@@ -158,7 +158,7 @@ def _click(page: Page, row: int, x: float, y: float, after: Page | None) -> Acti
         return Action(verb=Verb.CLICK, at=(x, y)) if after is None else None
     if page.tag[row] in POINTED:
         return Action(verb=Verb.CLICK, element=row, at=_offset(page, row, x, y))
-    leaves = [each for each in (row, *page.below(row)) if page.leaf[each]]
+    leaves = [each for each in (row, *page.descendants(row)) if page.leaf[each]]
     hit = [leaf for leaf in leaves if leaf == row or _distance(page, leaf, x, y) == 0.0]
     if not hit and not took:
         return None

@@ -39,7 +39,7 @@ def evaluate(config: Config, policy: Weights, metrics: Metrics, display: Display
             config,
             browser,
             RandomAgent(),
-            Purpose.FLOOR,
+            Purpose.RANDOM_BASELINE,
             config.evaluate.random_episodes,
             metrics,
             display,

@@ -21,9 +21,9 @@ from giirl_core.nets.features import (
     without_overlap,
 )
 from giirl_core.nets.language import PADDING, Vectors
-from giirl_core.types import LEARNED, NO_SPAN, Verb
+from giirl_core.types import LEARNABLE_VERBS, NO_SPAN, Verb
 
-VERBS = len(LEARNED)  # CLICK and TYPE, which are 0 and 1: the nets go on learning these alone
+VERBS = len(LEARNABLE_VERBS)  # CLICK and TYPE, which are 0 and 1: the nets go on learning these alone
 MASKED_LOGIT = -1e9  # the logit of what may not be chosen
 BESIDE_PX = 4.0  # what stands further away counts e times less
 LINES_APART = 3.0  # how much more a pixel up or down counts than one to the side

@@ -61,7 +61,7 @@ def build_request(header: Header, arrays: Columns) -> list[Trajectory]:
     with wire.untrusted():
         trajectories = cols.unpack(arrays, heads)
         for trajectory in trajectories:
-            trajectory.check_learned()
+            trajectory.check_learnable()
         return trajectories
 
 

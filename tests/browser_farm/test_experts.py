@@ -80,7 +80,7 @@ def test_rows_are_found_by_what_they_are_and_by_what_they_lie_in() -> None:
     assert see.rows("p", "a") == [1, 3]
     assert see.rows("p", "a", inside=2) == [3]
     assert see.row(kind="x") == 2
-    assert (see.page.below(2), see.leaf(2), see.reading(2)) == ([3, 4], 4, "a b")
+    assert (see.page.descendants(2), see.leaf(2), see.reading(2)) == ([3, 4], 4, "a b")
     assert (see.above(4, kind="two"), see.above(4, "p")) == (2, 3)
     with pytest.raises(ValueError, match="lies in no"):
         see.above(4, kind="one")

@@ -124,7 +124,7 @@ def test_a_mended_command_works_in_the_same_folder(giirl: Command) -> None:
 def test_a_run_that_another_process_works_on_is_not_gone_on_with(giirl: Command, tmp_path: Path) -> None:
     assert giirl("train", *SETTINGS, "iterations=1", "run=out").status == 0
     with folder_lock(tmp_path / "out"):
-        assert "another process works in out" in giirl("train", "--resume", "out", "iterations=2").complaint
+        assert "another process uses out" in giirl("train", "--resume", "out", "iterations=2").complaint
     assert giirl("train", "--resume", "out", "iterations=2").status == 0
 
 

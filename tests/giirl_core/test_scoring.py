@@ -17,7 +17,7 @@ from giirl_core.wire.scoring import ScoreReply
 from tests.giirl_core.wire_examples import NUMBER, assert_same_trajectory, episode, trajectories
 
 
-@given(st.integers(0, 2**63), st.lists(trajectories(learned=True), min_size=1, max_size=3))
+@given(st.integers(0, 2**63), st.lists(trajectories(learnable=True), min_size=1, max_size=3))
 def test_a_request_comes_back_as_it_was_sent(number: int, sent: list[Trajectory]) -> None:
     header, arrays = wire.decode(scoring.encode_request(number, sent))
     assert scoring.read_request(header) == number
@@ -58,5 +58,5 @@ def test_a_request_too_large_or_empty_is_refused_where_it_is_made() -> None:
 def test_a_request_about_what_the_nets_cannot_judge_is_a_wire_error() -> None:
     sent = episode().trajectory
     hovering = replace(sent, actions=(Action(verb=Verb.HOVER, element=0), *sent.actions[1:]))
-    with pytest.raises(WireError, match=r"click-button with seed 5, step 0 is HOVER .* the nets learn only"):
+    with pytest.raises(WireError, match=r"click-button with seed 5, step 0 is HOVER .* the nets only click"):
         scoring.build_request(*wire.decode(scoring.encode_request(0, [hovering])))

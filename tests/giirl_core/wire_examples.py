@@ -6,7 +6,7 @@ import msgpack
 import numpy as np
 from hypothesis import strategies as st
 
-from giirl_core.types import USES, Action, Episode, Goal, Outcome, Page, Trajectory, Verb
+from giirl_core.types import VERB_FIELDS, Action, Episode, Goal, Outcome, Page, Trajectory, Verb
 from giirl_core.wire import messages as wire
 from giirl_core.wire.messages import Stamp
 
@@ -71,31 +71,31 @@ def pages(draw: st.DrawFn) -> Page:
 
 
 @st.composite
-def actions(draw: st.DrawFn, seen: Page, goal: Goal, learned: bool) -> Action:
+def actions(draw: st.DrawFn, seen: Page, goal: Goal, learnable: bool) -> Action:
     """Any action on a page, or any that the nets can choose."""
-    if learned:
+    if learnable:
         start = draw(st.integers(-1, len(goal.tokens) - 1))
         verb = Verb.CLICK if start < 0 else Verb.TYPE
         return Action(verb=verb, element=draw(st.integers(0, len(seen) - 1)), start=start, end=start)
     rows, offsets = st.integers(-1, len(seen) - 1), st.tuples(NUMBER, NUMBER)
     verb = draw(st.sampled_from(Verb))
-    start = draw(st.integers(-1, len(goal.tokens) - 1)) if "start" in USES[verb] else -1
-    literal = draw(TEXT) if "literal" in USES[verb] and start < 0 else ""
+    start = draw(st.integers(-1, len(goal.tokens) - 1)) if "start" in VERB_FIELDS[verb] else -1
+    literal = draw(TEXT) if "literal" in VERB_FIELDS[verb] and start < 0 else ""
     return Action(
         verb=verb,
         element=draw(rows),
         start=start,
         end=start if start < 0 else draw(st.integers(start, len(goal.tokens) - 1)),
         literal=draw(st.sampled_from(("Enter", "Control+c"))) if verb is Verb.PRESS else literal,
-        at=draw(offsets) if "at" in USES[verb] else (0.0, 0.0),
-        by=draw(offsets) if "by" in USES[verb] else (0.0, 0.0),
-        to=draw(rows) if "to" in USES[verb] else -1,
+        at=draw(offsets) if "at" in VERB_FIELDS[verb] else (0.0, 0.0),
+        by=draw(offsets) if "by" in VERB_FIELDS[verb] else (0.0, 0.0),
+        to=draw(rows) if "to" in VERB_FIELDS[verb] else -1,
     )
 
 
 @st.composite
-def trajectories(draw: st.DrawFn, learned: bool = False) -> Trajectory:
-    """Any trajectory of one to four steps; of actions that the nets can choose, if `learned`."""
+def trajectories(draw: st.DrawFn, learnable: bool = False) -> Trajectory:
+    """Any trajectory of one to four steps; of actions that the nets can choose, if `learnable`."""
     shown = tuple(draw(st.lists(pages(), min_size=1, max_size=4)))
     goal = Goal("w" + draw(TEXT))
     numbers = st.lists(NUMBER, min_size=len(shown), max_size=len(shown))
@@ -104,7 +104,7 @@ def trajectories(draw: st.DrawFn, learned: bool = False) -> Trajectory:
         goal=goal,
         seed=draw(st.integers(0, 2**53)),
         pages=shown,
-        actions=tuple(draw(actions(seen, goal, learned)) for seen in shown),
+        actions=tuple(draw(actions(seen, goal, learnable)) for seen in shown),
         behaviour_logp=np.array(draw(numbers), np.float32),
         rewards=np.array(draw(numbers), np.float32),
         policy_version=draw(st.integers(-1, 10**9)),

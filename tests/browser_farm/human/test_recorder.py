@@ -66,7 +66,7 @@ def test_typing_is_one_action_with_the_words_of_the_instruction(recorder: Record
     assert told(episode) == [("TYPE", "input_text", "Jerald"), ("CLICK", "Submit", "")]
     assert episode.trajectory.actions[0].start >= 0
     assert episode.outcome.success
-    episode.trajectory.check_learned()
+    episode.trajectory.check_learnable()
 
 
 @pytest.mark.chrome
