@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from giirl_core.wire.delivery import MAX_BEFORE, Before
+from giirl_core.wire.delivery import MAX_EARLIER, IncarnationCounts
 
 LOCK_S = 10.0  # for an incarnation that was stopped in the midst of counting to be ended
 ENTRY = struct.Struct("<QQ")  # incarnation, episodes finished
@@ -20,7 +20,7 @@ class Replaced(RuntimeError):
     """A newer incarnation of this actor has taken over."""
 
 
-def read_counts(path: Path) -> Before:
+def read_counts(path: Path) -> IncarnationCounts:
     """What the file of an actor that may be at work says: incarnations, and how much each finished."""
     return tuple(sorted(dict(_entries(path.read_bytes())).items())) if path.exists() else ()
 
@@ -45,7 +45,7 @@ class EpisodeCounter:
                 entries = dict(_entries(os.pread(self._file, os.fstat(self._file).st_size, 0)))
                 if max(entries, default=-1) >= incarnation:
                     raise Replaced(f"{path} is incarnation {max(entries)}'s, wanted one below {incarnation}")
-                self.before: Before = tuple((i, n) for i, n in sorted(entries.items()) if n)[-MAX_BEFORE:]
+                self.before: IncarnationCounts = tuple((i, n) for i, n in sorted(entries.items()) if n)[-MAX_EARLIER:]
                 self._write([*self.before, (incarnation, 0)])
         except BaseException:
             os.close(self._file)

@@ -64,7 +64,7 @@ class Worker:
 
     def follow(self, scorers: Sequence[str]) -> None:
         """Have episodes scored by these from now on."""
-        self._orders.put(lambda: self._scorer.follow(scorers))
+        self._orders.put(lambda: self._scorer.set_replicas(scorers))
 
     def rejoin(self, learner: str, weights: Weights) -> None:
         """The learner came back, there: it gets what it has not saved, and its weights count from anew."""
@@ -108,7 +108,7 @@ class Worker:
         while self._scorer.pending and time.monotonic() < deadline_s:
             self._tend()
             time.sleep(PAUSE_S)
-        for episode in self._scorer.give_up():
+        for episode in self._scorer.cancel_pending():
             self._offer_unscored(episode)
         if self._settle_s:
             self._uplink.settle(self._settle_s)

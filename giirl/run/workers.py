@@ -58,7 +58,7 @@ class WorkersRuntime:
         known = [mark.incarnation for mark in self._held.marks]
         self._incarnation = max([int(time.time()), *(incarnation + 1 for incarnation in known)])  # they only grow
         self._keys = (
-            None if platform.single_node else Keys.keep(folder.keys)
+            None if platform.single_node else Keys.load_or_create(folder.keys)
         )  # beyond loopback nobody talks without them
         self._ingest = Ingest(
             folder.identity,

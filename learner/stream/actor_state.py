@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from giirl_core.wire.delivery import Before, Grant, Notice
+from giirl_core.wire.delivery import Grant, IncarnationCounts, Notice
 from learner.stream.snapshot import ActorOffsets
 
 
@@ -76,7 +76,7 @@ class ActorState:
         self._rise()
         return missing
 
-    def succeeded_by(self, before: Before) -> int:
+    def succeeded_by(self, before: IncarnationCounts) -> int:
         """How many episodes this incarnation, and later ones, took with them, by what their successor knows."""
         finished = max(self.finished, dict(before).get(self.incarnation, 0))
         between = sum(count for incarnation, count in before if incarnation > self.incarnation)

@@ -108,7 +108,7 @@ class Admission:
             actor = self._register(notice)
             actor.peer = peer
         elif actor is None or stamp.incarnation > actor.incarnation or actor.peer != peer:
-            return delivery.encode_who()
+            return delivery.encode_unknown_actor()
         elif notice is None:
             self._accept(actor, stamp, header, arrays, len(message))
         if notice:
@@ -184,7 +184,7 @@ class Admission:
             actor.settled = max(actor.settled, mark.incarnation)
             self._untold.add(mark.actor)
 
-    def retire(self, name: str, finished: delivery.Before) -> None:
+    def retire(self, name: str, finished: delivery.IncarnationCounts) -> None:
         """An actor has gone for good; its incarnations finished so much, by its own count. What never came is lost."""
         actor = self._actors.get(name) or ActorState(actor=name, incarnation=-1)
         self._drop("lost", actor.succeeded_by(finished))

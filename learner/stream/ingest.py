@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from giirl_core.metrics import Metrics, waiting
 from giirl_core.types import Episode
-from giirl_core.wire.delivery import Before
+from giirl_core.wire.delivery import IncarnationCounts
 from giirl_core.wire.transport import Keys, Router
 from learner.stream.admission import Admission, IngestLimits
 from learner.stream.snapshot import IngestSnapshot
@@ -93,7 +93,7 @@ class Ingest:
         with self._lock:
             return self._books.wants_commit
 
-    def retire(self, actor: str, finished: Before) -> None:
+    def retire(self, actor: str, finished: IncarnationCounts) -> None:
         """An actor has gone for good. What it finished, by its own count, and did not deliver is lost."""
         with self._lock:
             self._books.retire(actor, finished)

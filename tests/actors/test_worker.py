@@ -29,7 +29,7 @@ class Scorer:
     def poll(self) -> list[Any]:
         return []
 
-    def give_up(self) -> list[Any]:
+    def cancel_pending(self) -> list[Any]:
         given, self._pending = self._pending, []
         return given
 

@@ -25,7 +25,7 @@ UNTIL_S = 60.0
 
 def main() -> None:
     folder, cut_s = Path(sys.argv[1]), float(sys.argv[2])
-    keys = Keys.make()
+    keys = Keys.generate()
     with cable() as line:
         pids = [
             start("trainer", lambda: _train(line, folder, keys)),

@@ -27,7 +27,7 @@ from giirl_core.metrics import Metrics
 from giirl_core.wire import delivery, scoring
 from giirl_core.wire import messages as wire
 from giirl_core.wire.delivery import Grant, Notice
-from giirl_core.wire.messages import ALIGN, GAPS, LENGTH, PREFIX, WireError
+from giirl_core.wire.messages import ALIGN, LENGTH, PADDING, PREFIX, WireError
 from learner.learner import Learner
 from learner.stream.admission import Admission, IngestLimits
 from learner.stream.snapshot import BOOKS, QUEUE, ActorOffsets, IngestSnapshot
@@ -79,7 +79,7 @@ def spoil_message(rng: random.Random, message: bytes) -> bytes:
         header = spoil(rng, message[start:end])
         columns = message[end + -end % ALIGN :]
         spoiled = b"".join(
-            [message[: PREFIX.size], LENGTH.pack(len(header)), header, GAPS[len(header) % ALIGN], columns]
+            [message[: PREFIX.size], LENGTH.pack(len(header)), header, PADDING[len(header) % ALIGN], columns]
         )
     if len(spoiled) >= PREFIX.size and rng.random() < 0.5:
         magic, schema, _ = PREFIX.unpack_from(spoiled)

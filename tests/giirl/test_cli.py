@@ -92,7 +92,7 @@ def test_train_writes_its_result_where_it_says(giirl: Command, tmp_path: Path) -
         (["browser=chrome", 'tasks=["click-buton"]'], "did you mean 'click-button'"),
         (["browser=fake", 'tasks=["click-buton"]'], "it has click-test, click-test-2, click-button"),
         (["demos.source=file"], "demos.path"),
-        (["demos.source=file", "demos.path=broken.toml"], "broken.toml is no episode file"),
+        (["demos.source=file", "demos.path=broken.toml"], "broken.toml is not an episode file"),
         (["demos.source=file", "demos.path=missing.giirl"], "missing.giirl"),
         (["demos.source=recordings", "demos.path=missing"], "missing"),
         (["step_limit=1", 'tasks=["enter-text"]'], "no successful demonstration of 'enter-text'"),
@@ -238,7 +238,7 @@ def test_demonstrations_made_by_the_command_can_be_counted_and_learned_from(giir
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["stats", "notes.txt"], "notes.txt is no episode file"),
+        (["stats", "notes.txt"], "notes.txt is not an episode file"),
         (["stats", "missing"], "missing"),
         (["make", "--browser", "fake", "--out", "missing/a"], "cannot write missing/a"),
         (["make", "--browser", "fake", "--out", "a", "--task", "click-buton"], "did you mean 'click-button'"),

@@ -7,7 +7,7 @@ from typing import Any
 from giirl_core.metrics import Metrics
 from giirl_core.wire import delivery
 from giirl_core.wire import messages as wire
-from giirl_core.wire.delivery import Before, Grant, Notice
+from giirl_core.wire.delivery import Grant, IncarnationCounts, Notice
 from giirl_core.wire.messages import Stamp
 from learner.stream.admission import Admission, IngestLimits
 from learner.stream.snapshot import IngestSnapshot
@@ -44,7 +44,7 @@ class Learner:
         run: str = "run",
         finished: int = 0,
         full: bool = False,
-        before: Before = (),
+        before: IncarnationCounts = (),
     ) -> str:
         self._notices += 1
         stamp = Stamp(run=run, actor=actor, incarnation=incarnation, sequence=base)

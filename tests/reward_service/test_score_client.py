@@ -122,7 +122,7 @@ def test_a_late_or_repeated_answer_is_a_stray_and_not_another_answer() -> None:
         for message in (scoring.encode_reply(reply), scoring.encode_reply(reply), b"junk"):
             assert router.send(peer, message)
         answers = settled(client)
-        until(lambda: not client.poll() and client.strays == 2)
+        until(lambda: not client.poll() and client.ignored_replies == 2)
     assert [(key, version) for key, _, version in answers] == [("k", 2)]
 
 
@@ -166,9 +166,9 @@ def test_replicas_that_left_and_came_are_followed() -> None:
         with closing(ScoreClient([], identity="a", timeout_s=WAIT_S)) as client:
             client.submit("early", trajectory(1))  # nobody is there yet: it waits
             assert client.poll() == []
-            client.follow([gone.address])
+            client.set_replicas([gone.address])
             asked(client, gone)
-            client.follow([new.address])
+            client.set_replicas([new.address])
             ((key, _, version),) = settled(client)
     assert (key, version) == ("early", 3)
 
@@ -179,7 +179,7 @@ def test_a_replica_that_is_overloaded_rests_while_another_answers() -> None:
         with closing(ScoreClient([busy.address], identity="a", timeout_s=WAIT_S)) as client:
             client.submit("k", trajectory(1))
             peer, number = asked(client, busy)
-            client.follow([busy.address, free.address])
+            client.set_replicas([busy.address, free.address])
             assert busy.send(peer, scoring.encode_reply(ScoreReply(request=number, error=scoring.OVERLOADED)))
             ((key, _, version),) = settled(client)
     assert (key, version) == ("k", 3)

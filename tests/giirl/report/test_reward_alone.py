@@ -92,7 +92,7 @@ def test_a_served_reward_answers_until_it_is_told_to_stop(finished: Path) -> Non
     ("words", "said"),
     [
         (["score", "RUN", "missing.giirl"], "missing.giirl"),
-        (["score", "RUN", "notes.txt"], "notes.txt is no episode file"),
+        (["score", "RUN", "notes.txt"], "notes.txt is not an episode file"),
         (["score", "nowhere", "notes.txt"], "nowhere is no run"),
         (["serve", "nowhere"], "nowhere is no run"),
         (["score", "CLONED", "notes.txt"], "learned no reward"),
