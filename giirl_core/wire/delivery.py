@@ -28,7 +28,8 @@ One connection (DEALER to ROUTER, see `transport`), from start to end:
 Messages of the actor carry a `Stamp`. Hello, heartbeat and bye are notices (`Notice`).
 
 Flow control: a grant has a `limit`, and the actor sends only sequences below it. The learner raises the limit as it
-takes episodes from its queue. At the limit the actor keeps its episodes; when it keeps too many it stops playing.
+takes episodes from its queue. An actor with too many episodes that are not acked stops playing until they are. So does
+an actor whose copies take too much memory; before that, the flag `full` in its notices asks for a checkpoint.
 
 Lost messages: notices and grants carry the complete state, not changes, so a lost or repeated one does no harm. A
 connection keeps the order of its messages. Therefore, when a grant answers a notice that was sent after an episode but
@@ -53,7 +54,7 @@ HELLO, HEARTBEAT, BYE, EPISODE = "hello", "heartbeat", "bye", "episode"  # kinds
 NOTICES = frozenset({HELLO, HEARTBEAT, BYE})
 GRANT, UNKNOWN_ACTOR, REFUSED = "grant", "unknown_actor", "refused"  # from the learner
 FENCED, OTHER_RUN = "fenced", "other_run"  # reasons of a refusal
-MAX_EARLIER = 4096  # in one notice
+MAX_EARLIER = 4096  # earlier incarnations in one notice
 IncarnationCounts = tuple[tuple[int, int], ...]  # (incarnation, number of episodes that it finished)
 
 
