@@ -1,1 +1,1 @@
-"""Word vectors, page features, the policy and reward nets, and their parameters as bytes."""
+"""Networks of policy and reward, the features they read, word vectors, and parameters as bytes."""

