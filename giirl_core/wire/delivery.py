@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from giirl_core.wire import messages as wire
-from giirl_core.wire.columns import take
+from giirl_core.wire.columns import Columns, take
 from giirl_core.wire.messages import MAX_COUNT, Header, Stamp, WireError
 
 HELLO, HEARTBEAT, BYE, EPISODE = "hello", "heartbeat", "bye", "episode"  # from actors, all stamped
@@ -52,6 +52,16 @@ class Notice:
             raise ValueError(f"notice {self.number} of {self.finished} episodes, wanted less than {MAX_COUNT}")
         if not all(0 <= i < self.stamp.incarnation and 0 <= count < MAX_COUNT for i, count in self.before):
             raise ValueError(f"{self.before!r:.80} finished before incarnation {self.stamp.incarnation}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeMessage:
+    """A received episode: header and columns are decoded, but the episode itself is not built or validated yet."""
+
+    stamp: Stamp
+    header: Header
+    arrays: Columns
+    size: int  # bytes of the encoded message
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,6 +120,16 @@ def is_refused(header: Header, stamp: Stamp) -> bool:
     """Whether a refusal means this actor, and not somebody else who spoke in its place."""
     who = (header.get("run"), header.get("actor"), header.get("incarnation"))
     return header["kind"] == REFUSED and who == (stamp.run, stamp.actor, stamp.incarnation)
+
+
+def parse(message: bytes) -> Notice | EpisodeMessage:
+    """Decode a message from an actor; WireError unless it is a valid notice or the envelope of an episode."""
+    header, arrays = wire.decode(message)
+    stamp = wire.read_stamp(header)
+    if header["kind"] in NOTICES:
+        return read_notice(header, stamp)
+    wire.expect(header, EPISODE)
+    return EpisodeMessage(stamp=stamp, header=header, arrays=arrays, size=len(message))
 
 
 def read_notice(header: Header, stamp: Stamp) -> Notice:
