@@ -207,7 +207,7 @@ class WorkersRuntime:
         if scorers != self._scorers:
             self._scorers = scorers
             for actor in self._actors:
-                actor.notify("follow", tuple(scorers))
+                actor.notify("set_scorers", tuple(scorers))
         for actor in self._actors:
             self._replace_if_silent(actor)
             if actor.quarantined and not actor.leaving:
