@@ -87,7 +87,7 @@ def test_a_reward_service_that_nobody_began_is_begun_and_one_that_serves_is_join
     service.rejoin(first)  # returns: whoever asked has to begin it
     threads = [Thread(target=service.run, args=(first,)), Thread(target=service.rejoin, args=(second,))]
     threads[0].start()
-    while not service._serves:
+    while not service._serving:
         time.sleep(0.01)
     threads[1].start()
     threads[1].join(0.5)
