@@ -70,7 +70,7 @@ def test_a_run_whose_actor_dies_at_every_start_is_saved_and_ends_with_an_error(f
         error = r"giirl: 0 of 1 actors are left, wanted 1 \(actors\.min_healthy\): .+"
         assert re.search(error, command.err), command.err
         assert len(started) == CRASHES
-        assert command.remains() == []
+        assert command.wait_leftover() == []
         assert latest_checkpoint(run / "checkpoints").is_dir()
 
 
@@ -90,7 +90,7 @@ def test_a_hung_actor_and_a_dead_reward_service_are_replaced_while_the_run_goes_
         assert second in find(command, "ray::RewardProcess")
         command.stop(signal.SIGINT)
         assert command.wait(timeout_s=90) == 130, command.err
-        assert command.remains() == []
+        assert command.wait_leftover() == []
         assert unaccounted(run, run / "actors/actor-0.tally") == 0
 
 
