@@ -74,7 +74,7 @@ class Schedule:
         return EpisodeSpec(task=task, seed=page_seed(self._purpose, self._run_seed, index))
 
     def requeue(self, spec: EpisodeSpec) -> None:
-        """Play a lost episode again, up to MAX_LOSSES times: some pages may break every browser that opens them."""
+        """Play a lost episode again, unless it was lost MAX_LOSSES times: some pages break every browser."""
         self._losses[spec] += 1
         if self._losses[spec] < self.MAX_LOSSES:
             self._requeued.append(spec)
