@@ -1,1 +1,1 @@
-"""Actors: a policy plays episodes in many browser tabs at once, and a worker streams the episodes to the learner."""
+"""Actors: policy inference over many tabs at once, and the worker that streams what they do."""

@@ -1,1 +1,1 @@
-"""The reward service: scores trajectories with the learned reward and returns the rewards with their version."""
+"""The learned reward as a service: trajectories in, rewards and their version out."""
