@@ -1,4 +1,4 @@
-"""The browser that a config names."""
+"""Opens the browser that a config names."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from giirl_core.types import Browser
 
 
 def open_browser(config: Config, metrics: Metrics) -> Browser:
-    """Started and ready, its restarts counted by cause."""
+    """Start the browser and wait until it is ready. `metrics` counts its restarts by cause."""
     if config.browser == "fake":
         return FakeFarm(tabs=config.actors.tabs)
     return ChromeFarm(
@@ -24,7 +24,7 @@ def open_browser(config: Config, metrics: Metrics) -> Browser:
 
 
 def check_tasks(config: Config) -> None:
-    """Every task of the config exists; ValueError naming the nearest otherwise."""
+    """Raise ValueError, naming the nearest task, if the browser does not have one of the config's tasks."""
     for task in config.tasks:
         if config.browser == "fake":
             fake.check_task(task)

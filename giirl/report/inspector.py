@@ -31,7 +31,7 @@ class Inspector:
     def __init__(self, config: Config, policy: Weights, reward: Weights | None, metrics: Metrics) -> None:
         net = build_policy(config)
         load_net(net, policy)
-        self._choose = PolicyAgent(net, load_vectors(config.net.vectors), version=policy.version, greedy=True)
+        self._agent = PolicyAgent(net, load_vectors(config.net.vectors), version=policy.version, greedy=True)
         self._reward = build_reward(config, reward) if reward is not None else None
         self._config = config
         self._browser = open_browser(replace(config, actors=replace(config.actors, tabs=1)), metrics)
@@ -98,7 +98,7 @@ class Inspector:
     def _judge(self, seen: Observation) -> ScoredPage:
         choice = None
         if seen.page.leaf.any():
-            choice = self._choose([seen], np.zeros((1, 3), np.float32))[0].action
+            choice = self._agent.select_actions([seen], np.zeros((1, 3), np.float32))[0].action
         best = value_elements(self._reward, seen.page, seen.goal) if self._reward is not None else ()
         return ScoredPage(goal=seen.goal, choice=choice, best=best)
 

@@ -55,7 +55,7 @@ class WorkersRuntime:
         self._reward: Any = None
         self._held = IngestSnapshot.load(resume) if resume else IngestSnapshot()
         self._taken: int = json.loads((resume / RUNTIME).read_text())["taken"] if resume else 0
-        known = [mark.incarnation for mark in self._held.marks]
+        known = [offsets.incarnation for offsets in self._held.offsets]
         self._incarnation = max([int(time.time()), *(incarnation + 1 for incarnation in known)])  # they only grow
         self._keys = (
             None if platform.single_node else Keys.load_or_create(folder.keys)
@@ -68,11 +68,11 @@ class WorkersRuntime:
             limits=IngestLimits(credits=config.stream.credits, max_lag=config.stream.policy_lag),
             keys=self._keys,
             metrics=metrics,
-            held=self._held,
+            snapshot=self._held,
             held_out=config.held_out_goals,
         )
         self._wanted = folder.wanted_actors() or config.actors.count
-        for mark in self._held.marks:  # of actors that nobody wants any more
+        for mark in self._held.offsets:  # of actors that nobody wants any more
             if mark.actor not in {f"actor-{index}" for index in range(self._wanted)}:
                 self._ingest.retire(mark.actor, read_counts(self._tally(mark.actor)))
         self._services: list[SupervisedProcess] = []
@@ -132,7 +132,7 @@ class WorkersRuntime:
 
     def committed(self) -> None:
         """The last `save` is safe on the disk: actors may forget what it covers."""
-        self._ingest.committed(self._held)
+        self._ingest.commit(self._held)
 
     def drain(self) -> None:
         """Let the actors hand over what they have finished, and end."""
@@ -207,7 +207,7 @@ class WorkersRuntime:
         if scorers != self._scorers:
             self._scorers = scorers
             for actor in self._actors:
-                actor.notify("follow", tuple(scorers))
+                actor.notify("set_scorers", tuple(scorers))
         for actor in self._actors:
             self._replace_if_silent(actor)
             if actor.quarantined and not actor.stopping:

@@ -47,7 +47,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from giirl_core.wire import messages as wire
-from giirl_core.wire.columns import read_field
+from giirl_core.wire.columns import Columns, read_field
 from giirl_core.wire.messages import MAX_COUNT, Header, Stamp, WireError
 
 HELLO, HEARTBEAT, BYE, EPISODE = "hello", "heartbeat", "bye", "episode"  # kinds of messages from actors
@@ -83,6 +83,16 @@ class Notice:
             raise ValueError(
                 f"Notice.before is {self.before!r:.80}, wanted incarnations below {self.stamp.incarnation} with counts"
             )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeMessage:
+    """A received episode: header and columns are decoded, but the episode itself is not built or validated yet."""
+
+    stamp: Stamp
+    header: Header
+    arrays: Columns
+    size: int  # bytes of the encoded message
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -172,3 +182,13 @@ def read_grant(header: Header) -> Grant:
 
 def _is_pair(entry: object) -> bool:
     return isinstance(entry, list) and len(entry) == 2 and all(type(number) is int for number in entry)
+
+
+def parse(message: bytes) -> Notice | EpisodeMessage:
+    """Decode a message from an actor; WireError unless it is a valid notice or the envelope of an episode."""
+    header, arrays = wire.decode(message)
+    stamp = wire.read_stamp(header)
+    if header["kind"] in NOTICES:
+        return read_notice(header, stamp)
+    wire.check_kind(header, EPISODE)
+    return EpisodeMessage(stamp=stamp, header=header, arrays=arrays, size=len(message))

@@ -58,7 +58,7 @@ def test_an_expert_that_finds_nothing_to_do_is_stuck_and_the_chooser_waits() -> 
     seen = observe("click-button", 'Click on the "Ok" button.', ("button", "Cancel", "", -1))
     with pytest.raises(NoAction, match="nothing with tag 'button', text 'Ok'"):
         expert("click-button")(seen)
-    (choice,) = ExpertAgent(expert)([seen], np.zeros((1, 3), dtype=np.float32))
+    (choice,) = ExpertAgent(expert).select_actions([seen], np.zeros((1, 3), dtype=np.float32))
     assert choice.action == Action(verb=Verb.WAIT)
 
 
