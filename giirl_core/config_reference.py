@@ -28,8 +28,8 @@ A config is a TOML file. Every setting can also be given on the command line as 
     giirl train experiments/miniwob_four.toml seed=1 policy.entropy=0.2 tasks='["click-button"]'
 
 A key that does not exist is an error that names the nearest key. The run's folder keeps all settings in `config.json`,
-defaults included, and `giirl train FOLDER/config.json` repeats the run. `giirl train --resume RUN` accepts changes of
-`iterations`, `checkpoint_every`, `keep_checkpoints`, `evaluate` and `metrics` only.
+defaults included; `giirl train FOLDER/config.json run=NEW` repeats the run. `giirl train --resume RUN` accepts changes
+of `iterations`, `checkpoint_every`, `keep_checkpoints`, `evaluate` and `metrics` only.
 
 Each entry reads `key` = default (allowed values; unit), then the meaning.
 """
