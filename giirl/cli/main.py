@@ -119,7 +119,7 @@ def train(
 @OVERRIDES
 @JSON
 def evaluate(run: Path, overrides: tuple[str, ...], json_file: Path | None) -> None:
-    """Greedy success of a run's policy on fresh pages, with the random floor; or what it is worth in the grid."""
+    """Greedy success of a run's policy on fresh pages, with the random baseline; or what it is worth in the grid."""
     import time
 
     from actors.browser import check_tasks

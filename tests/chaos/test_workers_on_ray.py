@@ -70,7 +70,8 @@ def test_a_run_whose_actor_dies_whenever_it_begins_gives_up_saves_and_says_so(fu
 
         command.until(given_up, "end of the run", timeout_s=START_S)
         assert command.wait() == 1
-        assert re.search(r"giirl: 0 of 1 actors are left, wanted 1 \(actors.minimum\): .+", command.err), command.err
+        error = r"giirl: 0 of 1 actors are left, wanted 1 \(actors\.min_healthy\): .+"
+        assert re.search(error, command.err), command.err
         assert len(begun) == CRASHES
         assert command.remains() == []
         assert latest_checkpoint(run / "checkpoints").is_dir()
