@@ -163,6 +163,13 @@ def test_every_setting_in_a_document_exists(document: str) -> None:
     assert named - set(keys()) - files - {"key"} == set()
 
 
+def test_every_new_name_in_the_list_of_renamed_settings_exists() -> None:
+    table = read(OLD_SETTINGS).partition("Renamed settings:")[2].partition("Renamed commands")[0]
+    new = [row.split("|")[2].partition("=")[0].strip(" `") for row in table.splitlines() if row.startswith("| `")]
+    assert new
+    assert [name for name in new if not any(key.endswith(name.removeprefix("*")) for key in keys())] == []
+
+
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_every_file_of_the_project_that_a_document_names_exists(document: str) -> None:
     paths = [path for span in spans(document) for path in re.findall(rf"^(?:{FOLDERS})/[\w./-]*$", span)]
