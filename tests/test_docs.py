@@ -159,7 +159,7 @@ def test_every_setting_in_a_document_exists(document: str) -> None:
             key = word.partition("=")[0]
             if re.fullmatch(r"[a-z_]+\.[a-z_]+", key) and key.partition(".")[0] in sections:
                 named.add(key)
-    files = {name for name in named if name.endswith((".json", ".md", ".py"))}
+    files = {name for name in named if name.endswith((".json", ".md", ".py", ".safetensors"))}
     assert named - set(keys()) - files - {"key"} == set()
 
 
