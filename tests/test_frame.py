@@ -133,15 +133,6 @@ def test_no_text_names_the_host_of_a_package_registry() -> None:
     assert [name(path) for path in files if any(host in path.read_bytes() for host in hosts)] == []
 
 
-@pytest.mark.parametrize("document", ["README.md", "CONTRIBUTING.md", "deploy/README.md"])
-def test_every_make_target_a_document_names_exists(document: str) -> None:
-    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-    text = (ROOT / document).read_text()
-    code = re.findall(r"```.*?```|`[^`\n]+`|^ {4}[^\n]+", text, re.DOTALL | re.MULTILINE)
-    named = {target for part in code for target in re.findall(r"\bmake ([a-z][a-z-]*)", part)}
-    assert named <= targets
-
-
 def test_every_dependency_is_pinned_to_a_version_inside_its_range() -> None:
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     pins = dict(line.split("==") for line in lines if line and not line.startswith("#"))

@@ -124,7 +124,7 @@ def train(
 @OVERRIDES
 @JSON
 def evaluate(run: Path, overrides: tuple[str, ...], json_file: Path | None) -> None:
-    """Greedy success of a run's policy on fresh pages, with the random floor; or what it is worth in the grid."""
+    """Greedy success of a run's policy on fresh pages, with the random baseline; or what it is worth in the grid."""
     from giirl.run.api import evaluate, result_table
 
     writable(json_file)
