@@ -1,1 +1,1 @@
-"""grid."""
+"""GIIRL in LanguageGridCraft: networks, steps and training state of the tabular world."""
