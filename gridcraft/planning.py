@@ -138,7 +138,7 @@ def return_bounds(world: World, reward: Array, *, horizon: int = HORIZON, discou
         for policy in (random_policy(world), best)
     )
     if optimal - random <= TIE * float(np.abs(reward).max()):
-        raise ValueError(f"the random policy is optimal (return {random:.6g}): wanted a reward that distinguishes policies")
+        raise ValueError(f"the random policy is optimal (return {random:.6g}), wanted a reward that separates policies")
     return random, optimal
 
 

@@ -123,7 +123,7 @@ def step(
 
 
 def observations(world: World, neighbours: bool = True) -> NDArray[np.float32]:
-    """[S, F] the observation in each state; it does not identify the layout.
+    """[S, F] the observation in each state, without information about which layout it is in.
 
     Row and column scaled to [-1, 1] and the cell's colour as one-hot of 5: F = 7. With `neighbours` also each of
     the four adjacent cells as one-hot of 6 (white, the colours, wall or edge): F = 31.

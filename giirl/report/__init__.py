@@ -1,1 +1,1 @@
-"""report."""
+"""HTML reports about runs: tables, charts, heat maps and episodes as film strips."""

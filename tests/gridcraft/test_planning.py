@@ -203,5 +203,5 @@ def test_illegal_tables_and_parameters_are_errors() -> None:
         solve(ROW, TO_RED, discount=1.0)
     with pytest.raises(ValueError, match="temperature"):
         solve(ROW, TO_RED, temperature=-0.1)
-    with pytest.raises(ValueError, match="distinguishes policies"):
+    with pytest.raises(ValueError, match="separates policies"):
         normalized_return(ROW, random_policy(ROW), np.ones((4, 5)))
