@@ -1,6 +1,6 @@
-"""LanguageGridCraft (Luo 2019, section 4.1): the tabular world, an exact planner and reward metrics.
+"""LanguageGridCraft: the thesis's tabular world, its exact planner and its reward metrics.
 
-Importing the package registers `giirl/LanguageGridCraft-v0` with Gymnasium and imports no other module of the package.
+Importing the package registers `giirl/LanguageGridCraft-v0` with Gymnasium and loads nothing else.
 """
 
 from gymnasium import register

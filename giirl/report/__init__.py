@@ -1,1 +1,1 @@
-"""HTML reports about runs: tables, charts, heat maps and episodes as film strips."""
+"""HTML reports of a run: numbers, charts, heat maps, and pages overlaid with the learned reward of each element."""

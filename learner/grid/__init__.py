@@ -1,1 +1,1 @@
-"""GIIRL in LanguageGridCraft: networks, steps and training state of the tabular world."""
+"""The learner for LanguageGridCraft: features, networks, soft Q-learning and the discriminator on grid steps."""
