@@ -148,7 +148,8 @@ KEY_RULES: tuple[Rule, ...] = (
 def value_changed_by_mouse(context: GestureContext) -> Decision | None:
     """A mouse gesture that changes the value of its field is typing.
 
-    Example: paste "Ada" with the context menu. Result: TYPE "Ada". Also the small arrows of a number field.
+    Example: paste "Ada" with the context menu. Result: TYPE "Ada". The same holds for the arrows of a number field
+    (task guess-number) and for Chrome's own calendar (task enter-date).
     """
     return context.typed_into(context.clicked)
 
@@ -168,7 +169,7 @@ def focus_click(context: GestureContext) -> Decision | None:
 def press_without_effect(context: GestureContext) -> Decision | None:
     """A mouse press without a click event is ignored if it changes nothing.
 
-    Example: mouse down on the button "Yes", mouse up on the button "No".
+    Example (task click-button): mouse down on the button "ok", mouse up outside all buttons.
     """
     if context.is_last or not context.clicks_leaf or context.gesture.kind is not GestureKind.PRESS:
         return None

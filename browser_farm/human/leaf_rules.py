@@ -21,7 +21,8 @@ LeafRule = Callable[[GestureContext, int], int | None]
 def flipped_checkbox(context: GestureContext, container: int) -> int | None:
     """The only checkbox in the container that changed, or the only radio button that was switched on.
 
-    Example: click on the label "bees", and its checkbox changes without a click event of its own.
+    Example: click on the label "bees", whose checkbox changes without a click event of its own. Result: CLICK on the
+    checkbox.
     """
     flipped = [leaf for leaf in _checkboxes(context, container) if context.flipped(context.screen.nodes[leaf])]
     return flipped[0] if len(flipped) == 1 else None
@@ -30,7 +31,8 @@ def flipped_checkbox(context: GestureContext, container: int) -> int | None:
 def only_checkbox_at_the_end(context: GestureContext, container: int) -> int | None:
     """The only checkbox in the container, if this click ended the episode.
 
-    Example: the last click is on a label, and the recording stops before its checkbox changes.
+    Example (task click-widget): the last click is on the container of a checkbox, and the recording stops before the
+    checkbox changes. Result: CLICK on the checkbox.
     """
     checkboxes = _checkboxes(context, container)
     return checkboxes[0] if container != NO_ROW and context.is_last and len(checkboxes) == 1 else None
@@ -39,7 +41,8 @@ def only_checkbox_at_the_end(context: GestureContext, container: int) -> int | N
 def only_leaf(context: GestureContext, container: int) -> int | None:
     """The only leaf in the container.
 
-    Example: click on <li><a>Tab #1</a></li> beside the link. Result: CLICK on the link.
+    Example (task click-collapsible): click on the header of a section, an <h3> with one line of text. Result: CLICK on
+    the text.
     """
     leaves = context.screen.leaves_below(container)
     return leaves[0] if container != NO_ROW and len(leaves) == 1 else None
@@ -48,7 +51,8 @@ def only_leaf(context: GestureContext, container: int) -> int | None:
 def leaf_under_the_mouse(context: GestureContext, container: int) -> int | None:
     """The smallest leaf in the container whose box contains the mouse position.
 
-    Example: click on the second line of a <div> with the text lines "one" and "two". Result: CLICK on "two".
+    Example (task click-dialog): click on the icon of the close button, which also holds a text. Result: CLICK on the
+    icon.
     """
     x, y = _mouse_position(context)
     boxes = [(leaf, context.screen.nodes[leaf].box) for leaf in context.screen.leaves_below(container)]
@@ -59,7 +63,8 @@ def leaf_under_the_mouse(context: GestureContext, container: int) -> int | None:
 def nearest_leaf_of_a_control(context: GestureContext, container: int) -> int | None:
     """The leaf nearest to the mouse, if the container is a control that is clicked as a whole.
 
-    Example: click on the edge of <a><span>icon</span>Reply</a>, above both children.
+    Example (task email-inbox-forward-nl): click on the edge of the Forward button, outside its icon and its text.
+    Result: CLICK on the nearer of the two.
     """
     leaves = context.screen.leaves_below(container)
     if container == NO_ROW or context.screen.nodes[container].tag not in CONTROL_TAGS or not leaves:
@@ -71,7 +76,7 @@ def nearest_leaf_of_a_control(context: GestureContext, container: int) -> int | 
 def container_of_a_failure(context: GestureContext, container: int) -> int | None:
     """The container itself, if the recording is a failure. Failures show what was done, also what policies cannot do.
 
-    Example: the last click is on an empty part of the page, and the reward is -1.
+    Example: the last click is on an empty part of the page, and the reward is -1. Result: CLICK on the container.
     """
     return container if container != NO_ROW and not context.strict else None
 

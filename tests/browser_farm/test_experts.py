@@ -51,7 +51,7 @@ def test_every_expert_plays_a_task_that_exists() -> None:
 
 def test_two_experts_for_one_task_are_refused() -> None:
     with pytest.raises(AssertionError, match="two experts for click-test"):
-        expert_for("click-test")(lambda see: see.click(0))
+        expert_for("click-test")(lambda view: view.click(0))
 
 
 def test_an_expert_that_finds_nothing_to_do_is_stuck_and_the_chooser_waits() -> None:
@@ -63,27 +63,27 @@ def test_an_expert_that_finds_nothing_to_do_is_stuck_and_the_chooser_waits() -> 
 
 
 def test_what_is_typed_is_a_span_of_the_instruction_where_it_has_one() -> None:
-    see = PageView(observe("enter-text", 'Enter "Ada" now.', ("input_text", "", "", -1)))
-    assert see.type(0, "Ada") == Action(verb=Verb.TYPE, element=0, start=2, end=2)
-    assert see.type(0, "ADA") == Action(verb=Verb.TYPE, element=0, literal="ADA")
+    view = PageView(observe("enter-text", 'Enter "Ada" now.', ("input_text", "", "", -1)))
+    assert view.type(0, "Ada") == Action(verb=Verb.TYPE, element=0, start=2, end=2)
+    assert view.type(0, "ADA") == Action(verb=Verb.TYPE, element=0, literal="ADA")
 
 
 def test_a_field_that_holds_what_it_should_is_left_alone() -> None:
-    see = PageView(observe("enter-text", "Enter a b.", ("input_text", "a", "", -1), ("input_text", "", "", -1)))
-    assert see.fill({0: "a", 1: "b"}) == Action(verb=Verb.TYPE, element=1, start=2, end=2)
-    assert see.fill({0: "a"}) is None
+    view = PageView(observe("enter-text", "Enter a b.", ("input_text", "a", "", -1), ("input_text", "", "", -1)))
+    assert view.fill({0: "a", 1: "b"}) == Action(verb=Verb.TYPE, element=1, start=2, end=2)
+    assert view.fill({0: "a"}) is None
 
 
 def test_rows_are_found_by_what_they_are_and_by_what_they_lie_in() -> None:
     rows = [("div", "", "one", -1), ("p", "a", "", 0), ("div", "", "two x", -1), ("p", "a", "", 2), ("t", "b", "", 3)]
-    see = PageView(observe("click-test", "Click.", *rows))
-    assert see.rows("p", "a") == [1, 3]
-    assert see.rows("p", "a", inside=2) == [3]
-    assert see.row(kind="x") == 2
-    assert (see.page.below(2), see.leaf(2), see.reading(2)) == ([3, 4], 4, "a b")
-    assert (see.above(4, kind="two"), see.above(4, "p")) == (2, 3)
+    view = PageView(observe("click-test", "Click.", *rows))
+    assert view.rows("p", "a") == [1, 3]
+    assert view.rows("p", "a", inside=2) == [3]
+    assert view.row(css_class="x") == 2
+    assert (view.page.below(2), view.first_leaf(2), view.all_text(2)) == ([3, 4], 4, "a b")
+    assert (view.ancestor(4, css_class="two"), view.ancestor(4, "p")) == (2, 3)
     with pytest.raises(ValueError, match="lies in no"):
-        see.above(4, kind="one")
+        view.ancestor(4, css_class="one")
 
 
 @pytest.mark.parametrize("number", range(10))
