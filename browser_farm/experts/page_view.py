@@ -67,7 +67,7 @@ class PageView:
             wanted = ", ".join(
                 f"{n} {v!r}" for n, v in (("tag", tag), ("text", text), ("class", css_class)) if v is not None
             )
-            raise ValueError(f"the page of {self.observation.episode} has no row with {wanted}")
+            raise ValueError(f"the page has no row with {wanted}")
         return rows[0]
 
     def ancestor(self, row: int, tag: str | None = None, css_class: str | None = None) -> int:
@@ -79,7 +79,7 @@ class PageView:
                 return parent
             parent = int(self.page.parent[parent])
         wanted = " ".join(filter(None, (tag, css_class)))
-        raise ValueError(f"row {row} on the page of {self.observation.episode} has no ancestor {wanted!r}")
+        raise ValueError(f"row {row} of the page has no ancestor {wanted!r}")
 
     def all_text(self, row: int) -> str:
         """The text of a row and of its descendants, joined by spaces."""

@@ -1,1 +1,1 @@
-"""Human demonstrations: an importer for public MiniWoB recordings and a recorder for a person at a Chrome window."""
+"""Human demonstrations: recording a person in Chrome, and importing the public MiniWoB recordings."""

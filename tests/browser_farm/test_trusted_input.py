@@ -8,8 +8,8 @@ import pytest
 
 from browser_farm.chrome.trusted_input import events
 from giirl_core.types import Command, Observation, Verb
-from tests.browser_farm.human.test_gestures import SOLVED, Move, on, play, press, row, show
 from tests.browser_farm.real_farm import Farm
+from tests.browser_farm.test_actions import SOLVED, Move, on, play, press, row, show
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Every verb on pages that want it: real tasks solved by it, and pages of our own that say what they saw."""
+"""Every verb in real Chrome: tasks that need it, and test pages that log the events that reach them."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from tests.browser_farm.real_farm import Farm
 
 pytestmark = pytest.mark.chrome
 
-Move = Callable[[Observation], Action]
+Move = Callable[[Observation], Action]  # chooses an action on a page
 
 
 def row(seen: Observation, tag: str, text: str = "", number: int = 0) -> int:
-    """The number-th row of this tag whose text begins so."""
+    """The row of the number-th element with this tag whose text begins with `text`."""
     page = seen.page
     return [i for i in range(len(page)) if page.tag[i] == tag and page.text[i].startswith(text)][number]
 
@@ -32,7 +32,7 @@ SUBMIT = on(Verb.CLICK, "button", "Submit")
 
 
 def play(farm: Farm, seen: Observation, *moves: Move) -> Observation | float:
-    """What the page shows after these moves, or the reward when it has ended."""
+    """Play some moves. Returns the last observation, or the reward if the episode ended with the last move."""
     for move in moves:
         result = farm.chrome.step({0: Command.of(move(seen), seen)})[0]
         assert result.lost == ""
@@ -45,8 +45,8 @@ def play(farm: Farm, seen: Observation, *moves: Move) -> Observation | float:
 
 
 def show(farm: Farm, html: str, script: str = "") -> Observation:
-    """A page of our own that writes what it saw into `said`."""
-    farm.open("click-test-2", 1)  # so that the next is a new document
+    """Replace the page by `html` and run `script`, which logs events to the global list `said`."""
+    farm.open("click-test-2", 1)  # so that the next task loads a new document
     seen = farm.open("click-test", 1)[0]
     farm.run(0, f"document.getElementById('area').innerHTML = {html!r}; window.said = []; {script}")
     shown = play(farm, seen, lambda seen: Action(verb=Verb.WAIT))
@@ -54,48 +54,48 @@ def show(farm: Farm, html: str, script: str = "") -> Observation:
     return shown
 
 
-def _small_box_into_the_large(seen: Observation) -> Action:
+def _drag_the_small_box_into_the_large_one(seen: Observation) -> Action:
     small, large = row(seen, "div", "s"), row(seen, "div", "L")
     return Action(verb=Verb.DRAG, element=small, to=large)
 
 
-def _over_all_of_the_text(seen: Observation) -> Action:
+def _select_the_whole_text(seen: Observation) -> Action:
     text = max(range(len(seen.page)), key=lambda i: len(seen.page.text[i]))
     _, _, width, height = map(float, seen.page.box[text])
     corner = (1 - width / 2, 2 - height / 2)
     return Action(verb=Verb.DRAG, element=text, at=corner, by=(width + 8, height - 4))
 
 
-def _a_line_through_the_dot(seen: Observation) -> Action:
+def _draw_a_line_through_the_dot(seen: Observation) -> Action:
     dot = row(seen, "circle")
     away = (0.0, 30.0) if "vertical" in seen.goal.utterance else (30.0, 0.0)
     return Action(verb=Verb.DRAG, element=dot, at=(-away[0], -away[1]), by=(2 * away[0], 2 * away[1]))
 
 
-def _the_place_of_the_named_colour(seen: Observation) -> Action:
+def _click_the_named_colour(seen: Observation) -> Action:
     colour = seen.goal.utterance.split()[3]
     left, top, width, height = map(float, seen.page.box[seen.page.colour.index(colour)])
     return Action(verb=Verb.CLICK, at=(left + width / 3, top + height / 3))
 
 
-def _the_corner_as_told(seen: Observation) -> Action:
+def _drag_the_corner(seen: Observation) -> Action:
     by = 20.0 if "larger" in seen.goal.utterance else -20.0
     corner = next(i for i, names in enumerate(seen.page.classes) if "ui-resizable-se" in names)
     return Action(verb=Verb.DRAG, element=corner, by=(by, by))
 
 
-def _the_end_as_told(seen: Observation) -> Action:
+def _scroll_to_the_end(seen: Observation) -> Action:
     by = (0.0, 5000.0 if "bottom" in seen.goal.utterance else -5000.0)
     return Action(verb=Verb.SCROLL, element=row(seen, "textarea"), by=by)
 
 
 SOLVED: list[tuple[str, tuple[Move, ...]]] = [
-    ("drag-box", (_small_box_into_the_large, SUBMIT)),
-    ("highlight-text", (_over_all_of_the_text, SUBMIT)),
-    ("draw-line", (_a_line_through_the_dot, SUBMIT)),
-    ("click-color", (_the_place_of_the_named_colour,)),
-    ("resize-textarea", (_the_corner_as_told, SUBMIT)),
-    ("scroll-text-2", (_the_end_as_told, SUBMIT)),
+    ("drag-box", (_drag_the_small_box_into_the_large_one, SUBMIT)),
+    ("highlight-text", (_select_the_whole_text, SUBMIT)),
+    ("draw-line", (_draw_a_line_through_the_dot, SUBMIT)),
+    ("click-color", (_click_the_named_colour,)),
+    ("resize-textarea", (_drag_the_corner, SUBMIT)),
+    ("scroll-text-2", (_scroll_to_the_end, SUBMIT)),
     (
         "copy-paste",
         (
@@ -130,7 +130,7 @@ def test_a_task_that_needs_more_than_clicks_is_solved(
         ((on(Verb.PRESS, "input_text", literal="End"), press("ArrowLeft"), press("-")), "a-b"),
     ],
 )
-def test_a_field_holds_what_a_person_would_have_typed(farm: Farm, moves: tuple[Move, ...], value: str) -> None:
+def test_typing_and_keys_edit_a_field(farm: Farm, moves: tuple[Move, ...], value: str) -> None:
     seen = play(farm, show(farm, '<input value="ab">'), *moves)
     assert isinstance(seen, Observation)
     assert seen.page.value[row(seen, "input_text")] == value
@@ -149,13 +149,13 @@ def test_a_field_holds_what_a_person_would_have_typed(farm: Farm, moves: tuple[M
         ("range", "30", "30"),
     ],
 )
-def test_fields_of_a_kind_take_text_in_their_own_form(farm: Farm, kind: str, text: str, value: str) -> None:
+def test_typed_text_is_converted_to_the_format_of_the_field(farm: Farm, kind: str, text: str, value: str) -> None:
     seen = show(farm, f'<input type="{kind}">')
     seen = play(farm, seen, on(Verb.TYPE, f"input_{kind}", literal=text))  # type: ignore[assignment]
     assert seen.page.value[row(seen, f"input_{kind}")] == value
 
 
-def test_enter_sends_a_form_tab_moves_on_and_space_presses(farm: Farm) -> None:
+def test_enter_submits_a_form_tab_moves_the_focus_and_space_presses(farm: Farm) -> None:
     html = '<form id="f"><input id="a"><input type="checkbox" id="b"><button>Go</button></form>'
     script = "document.getElementById('f').addEventListener('submit', (event) => said.push('sent'));"
     seen = show(farm, html, script)
@@ -164,7 +164,7 @@ def test_enter_sends_a_form_tab_moves_on_and_space_presses(farm: Farm) -> None:
     assert farm.ask(0, "document.activeElement.textContent || document.activeElement.id") == "Go"
 
 
-def test_a_double_click_is_two_clicks_and_their_name(farm: Farm) -> None:
+def test_a_double_click_sends_two_clicks_and_a_dblclick_event(farm: Farm) -> None:
     script = """for (const name of ['mousedown', 'mouseup', 'click', 'dblclick'])
         document.getElementById('d').addEventListener(name, (event) => said.push(name + event.detail))"""
     play(farm, show(farm, '<div id="d">here</div>', script), on(Verb.DOUBLE_CLICK, "div", "here"))
@@ -179,7 +179,7 @@ def test_hovering_enters_one_element_and_leaves_the_other(farm: Farm) -> None:
     assert farm.ask(0, "said.join()") == "enter d,leave d,enter e"
 
 
-def test_the_button_goes_down_moves_and_comes_up_where_it_is_told(farm: Farm) -> None:
+def test_mouse_down_move_and_up_happen_at_the_given_positions(farm: Farm) -> None:
     script = """for (const name of ['mousedown', 'mousemove', 'mouseup', 'click']) document.addEventListener(name,
         (event) => said.push(name + Math.round(event.clientX) + ':' + event.buttons))"""
     down, up = Action(verb=Verb.MOUSE_DOWN, at=(20.0, 90.0)), Action(verb=Verb.MOUSE_UP, at=(40.0, 90.0))
@@ -190,7 +190,7 @@ def test_the_button_goes_down_moves_and_comes_up_where_it_is_told(farm: Farm) ->
     )
 
 
-def test_a_click_beside_the_middle_of_an_element_reaches_what_is_there(farm: Farm) -> None:
+def test_a_click_with_an_offset_reaches_the_element_at_that_position(farm: Farm) -> None:
     seen = show(farm, '<div id="o" style="width:60px;height:20px">a<button id="i">b</button></div>')
     farm.run(0, "document.addEventListener('click', (event) => said.push(event.target.id), true)")
     inner = seen.page.box[row(seen, "button")]
@@ -201,14 +201,14 @@ def test_a_click_beside_the_middle_of_an_element_reaches_what_is_there(farm: Far
     assert farm.ask(0, "said.join()") == "i"
 
 
-def test_activating_clicks_and_focuses_without_a_mouse(farm: Farm) -> None:
+def test_activate_clicks_and_focuses_without_mouse_events(farm: Farm) -> None:
     script = """for (const name of ['mousemove', 'mousedown', 'click']) document.addEventListener(name,
         (event) => said.push(name), true)"""
     play(farm, show(farm, "<input>", script), on(Verb.ACTIVATE, "input_text"))
     assert farm.ask(0, "said + ' ' + document.activeElement.tagName") == "click INPUT"
 
 
-def test_drawn_things_are_seen_with_their_colour_and_their_corners(farm: Farm) -> None:
+def test_the_page_has_colours_and_corners_of_drawings(farm: Farm) -> None:
     html = """<svg width="90" height="90"><g transform="translate(10,0)"><polygon points="0,20 10,0 20,20" fill="red"/>
         <line x1="0" y1="30" x2="20" y2="40" style="stroke: blue"/></g><circle cx="50" cy="50" r="5" fill="#00f"/>
         <rect width="9" height="9" style="fill: lime"/></svg><p style="background-color: yellow">word</p>"""
@@ -229,7 +229,7 @@ def test_drawn_things_are_seen_with_their_colour_and_their_corners(farm: Farm) -
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_a_canvas_shows_is_seen(farm: Farm, seed: int) -> None:
+def test_the_page_has_the_shape_that_a_canvas_shows(farm: Farm, seed: int) -> None:
     seen = farm.open("count-sides", seed)[0]
     sides = len(seen.page.shape[row(seen, "canvas")].split()) - 1
     assert play(farm, seen, on(Verb.CLICK, "button", str(sides))) == 1.0
