@@ -97,7 +97,7 @@ class SimulatedActors:
         self._pipe = pipe
 
     def send(self, episodes: int) -> None:
-        """Let the actors send so many more episodes, in total."""
+        """Let the actors together send `episodes` more episodes."""
         self._pipe.send_bytes(b"%d" % episodes)
 
     @classmethod

@@ -121,7 +121,7 @@ class PageView:
         return Action(verb=Verb.DRAG, element=row, to=to, at=at, by=by)
 
     def scroll(self, row: int, down: float) -> Action:
-        """Scroll a row down by so many px, up if negative."""
+        """Scroll a row by `down` px, upwards if negative."""
         return Action(verb=Verb.SCROLL, element=row, by=(0.0, down))
 
     def type(self, row: int, text: str) -> Action:

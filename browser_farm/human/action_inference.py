@@ -148,8 +148,8 @@ KEY_RULES: tuple[Rule, ...] = (
 def value_changed_by_mouse(context: GestureContext) -> Decision | None:
     """A mouse gesture that changes the value of its field is typing.
 
-    Example: paste "Ada" with the context menu. Result: TYPE "Ada". The same holds for the arrows of a number field
-    (task guess-number) and for Chrome's own calendar (task enter-date).
+    Example: paste "Ada" with the context menu. Result: TYPE "Ada". Other cases are the arrows of a number field
+    (task guess-number) and Chrome's own calendar (task enter-date).
     """
     return context.typed_into(context.clicked)
 
@@ -209,7 +209,7 @@ def click_on_leaf(context: GestureContext) -> Decision | None:
 def click_in_container(context: GestureContext) -> Decision | None:
     """A click on a container is a click on one of its leaves, chosen by `leaf_rules.LEAF_RULES`.
 
-    Example: click on a <div> where its text "two" stands. Result: CLICK on "two".
+    Example: click on the text "two" of a <div>. Result: CLICK on "two".
     """
     return context.click(resolve_leaf(context, context.clicked_row))
 

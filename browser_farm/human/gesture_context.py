@@ -149,7 +149,7 @@ class GestureContext:
 def checkbox_of_label(gesture: Gesture) -> Node | None:
     """A click on a label is a click on its checkbox or radio button.
 
-    Example: click on the word "bees", whose label holds a checkbox. The browser sends a second click event to the
+    Example: click on the word "bees", whose label contains a checkbox. The browser sends a second click event to the
     checkbox. Result: CLICK on the checkbox.
     """
     target = gesture.label_target

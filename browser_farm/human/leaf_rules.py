@@ -51,7 +51,7 @@ def only_leaf(context: GestureContext, container: int) -> int | None:
 def leaf_under_the_mouse(context: GestureContext, container: int) -> int | None:
     """The smallest leaf in the container whose box contains the mouse position.
 
-    Example (task click-dialog): click on the icon of the close button, which also holds a text. Result: CLICK on the
+    Example (task click-dialog): click on the icon of the close button, which also has a text. Result: CLICK on the
     icon.
     """
     x, y = _mouse_position(context)

@@ -45,7 +45,7 @@ class Screen:
     row_of: dict[int, int]  # ref -> row, elements only
 
     def page(self, tampered: Collection[int]) -> Page:
-        """The page as policies see it. `tampered` holds the refs of the elements acted on so far."""
+        """The page as policies see it. `tampered` contains the refs of the elements acted on so far."""
         nodes = self.nodes
         return Page(
             tag=tuple(node.tag for node in nodes),
@@ -68,7 +68,7 @@ class Screen:
         )
 
     def leaves_below(self, row: int) -> list[int]:
-        """The descendants of `row` without children, ascending. Row -1 stands for the whole page."""
+        """The descendants of `row` without children, ascending. Row -1 means the whole page."""
         inner = set(self.parents)
         below = {row}
         for child, parent in enumerate(self.parents):

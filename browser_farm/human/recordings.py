@@ -207,12 +207,12 @@ def _read_bytes(path: Path) -> bytes:
     except OSError as error:
         raise ValueError(f"cannot be read ({error.strerror}), wanted a file") from error
     if len(content) > MAX_BYTES:
-        raise ValueError(f"holds more than {MAX_BYTES >> 20} MB, wanted one recorded episode")
+        raise ValueError(f"contains more than {MAX_BYTES >> 20} MB, wanted one recorded episode")
     return content
 
 
 def _refuse_constant(name: str) -> float:
-    raise ValueError(f"holds {name}, wanted finite numbers")
+    raise ValueError(f"contains {name}, wanted finite numbers")
 
 
 def _parse(raw: object) -> _Recording:

@@ -55,10 +55,10 @@ def test_two_experts_for_one_task_are_refused() -> None:
 
 
 def test_an_expert_without_an_action_raises_no_action_and_the_expert_agent_waits() -> None:
-    seen = observe("click-button", 'Click on the "Ok" button.', ("button", "Cancel", "", -1))
+    observation = observe("click-button", 'Click on the "Ok" button.', ("button", "Cancel", "", -1))
     with pytest.raises(NoAction, match="no row with tag 'button', text 'Ok'"):
-        expert("click-button")(seen)
-    (choice,) = ExpertAgent(expert)([seen], np.zeros((1, 3), dtype=np.float32))
+        expert("click-button")(observation)
+    (choice,) = ExpertAgent(expert)([observation], np.zeros((1, 3), dtype=np.float32))
     assert choice.action == Action(verb=Verb.WAIT)
 
 
