@@ -157,7 +157,7 @@ def test_a_truncated_checkpoint_is_named_with_the_one_to_use_instead(
     net = path / "checkpoints/step-00000004/policy.safetensors"
     net.write_bytes(net.read_bytes()[:1000])
     answer = giirl(*words, path, "--json", "a.json")
-    assert "policy.safetensors, now 1000 bytes, is not what was saved" in answer.complaint
+    assert "the SHA-256 of policy.safetensors (1000 bytes) is not the" in answer.complaint
     assert "write step-00000002 into" in answer.complaint
     assert not (tmp_path / "a.json").exists()
     assert json.loads((path / "config.json").read_text())
