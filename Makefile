@@ -1,6 +1,6 @@
-# All that a person or a machine needs to install, run and test the project.
-#   PYTHON=python3.12 make install     another interpreter for .venv
-#   CONFIG=experiments/x.toml make run another experiment
+# Installs, runs and tests the project.
+#   PYTHON=python3.12 make install        create .venv with another interpreter
+#   CONFIG=experiments/x.toml make run    run another experiment
 
 PYTHON ?= python3
 CONFIG ?= experiments/miniwob_four.toml
@@ -14,12 +14,12 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 .PHONY: help install browser run test test-fast check clean
 
-# install_packages WHAT PACKAGE...: as root or through sudo; where neither works, one line says what to type.
+# install_packages WHAT PACKAGE...: runs apt-get as root or through sudo. Without either it prints the command to type.
 define INSTALL_PACKAGES
 install_packages() {
   local what=$$1 as_root=(); shift
   if ! command -v apt-get >/dev/null; then
-    echo "make: $$what is missing and there is no apt-get here: install $$* with your package manager" >&2; exit 1
+    echo "make: $$what is missing and this system has no apt-get: install $$* with your package manager" >&2; exit 1
   fi
   if [ "$$(id -u)" -ne 0 ]; then
     if command -v sudo >/dev/null && { [ -t 0 ] || sudo -n true 2>/dev/null; }; then as_root=(sudo)
@@ -32,19 +32,19 @@ install_packages() {
 }
 endef
 
-help: ## say what there is to make
+help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 18
 
-install: browser $(STAMP) ## Chromium, its driver and .venv; does nothing where all is there
+install: browser $(STAMP) ## install Chromium, its driver and .venv with all extras; does nothing if they exist
 
-# Debian calls the packages chromium and chromium-driver, Ubuntu chromium-browser and chromium-chromedriver.
+# The packages are chromium and chromium-driver on Debian, chromium-browser and chromium-chromedriver on Ubuntu.
 browser:
 	@$(INSTALL_PACKAGES)
 	chrome=$${GIIRL_CHROME:-chromium} driver=$${GIIRL_CHROMEDRIVER:-chromedriver}
 	if command -v "$$chrome" >/dev/null && command -v "$$driver" >/dev/null; then exit 0; fi
 	for name in GIIRL_CHROME GIIRL_CHROMEDRIVER; do
 	  if [ -n "$${!name:-}" ] && ! command -v "$${!name}" >/dev/null; then
-	    echo "make: $$name is $${!name}, which is no program: mend it or unset it" >&2; exit 1
+	    echo "make: $$name is $${!name}, which is not a program: correct it or unset it" >&2; exit 1
 	  fi
 	done
 	if grep -qs '^ID=ubuntu' /etc/os-release
@@ -52,14 +52,14 @@ browser:
 	else install_packages Chromium chromium chromium-driver
 	fi
 
-# The lock lets two makes run at once: the second waits, then finds the work done.
+# The lock makes a second make that runs at the same time wait and then find the work done.
 $(STAMP): pyproject.toml constraints.txt
 	@$(INSTALL_PACKAGES)
 	exec 9>.install.lock; flock 9
 	if [ $(STAMP) -nt pyproject.toml ] && [ $(STAMP) -nt constraints.txt ]; then exit 0; fi
 	if ! $(BIN)/python -m pip --version >/dev/null 2>&1; then
 	  if ! command -v "$(PYTHON)" >/dev/null; then
-	    if [ "$(PYTHON)" != python3 ]; then echo "make: PYTHON is $(PYTHON), which is no program" >&2; exit 1; fi
+	    if [ "$(PYTHON)" != python3 ]; then echo "make: PYTHON is $(PYTHON), which is not a program" >&2; exit 1; fi
 	    install_packages Python python3 python3-venv
 	  fi
 	  if ! "$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
@@ -71,28 +71,28 @@ $(STAMP): pyproject.toml constraints.txt
 	  fi
 	  "$(PYTHON)" -m venv --clear .venv
 	fi
-	$(BIN)/python -m pip install --no-input --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	$(BIN)/python -m pip install --no-input --disable-pip-version-check -c constraints.txt -e '.[all,dev]'
 	touch $(STAMP)
 
-run: install ## train on the four tasks of the thesis, or on CONFIG
+run: install ## train on the four tasks of the thesis, or with CONFIG
 	@$(BIN)/giirl train $(CONFIG)
 
-# Tests that start Chrome or Ray want the machine to themselves; the others share its cores.
+# Tests that start Chrome or Ray run one at a time; the others run in parallel.
 FAST := not chrome and not ray and not slow
 
-test: check test-fast ## every check and every test: what CI runs
+test: check test-fast ## run every check and every test, as CI does
 	@$(BIN)/python -m pytest -m "not ($(FAST))"
 
-test-fast: install ## the tests that start neither Ray nor Chrome and end within seconds
+test-fast: install ## run the tests that start neither Ray nor Chrome and take seconds
 	@$(BIN)/python -m pytest -n logical -m "$(FAST)"
 
-check: install ## style, types and import contracts
+check: install ## check style, types and import contracts
 	@$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m mypy
 	$(BIN)/lint-imports
 
-clean: ## remove .venv and every cache; runs/ stays
+clean: ## remove .venv and all caches, but not runs/
 	@rm -rf .venv .install.lock build dist *.egg-info
 	rm -rf .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,4 +1,4 @@
-"""Who decides what to do on a page: the policy net, a scripted expert, or chance."""
+"""Agents choose actions on pages: the policy net, scripted experts, or uniformly random actions."""
 
 from __future__ import annotations
 
@@ -20,37 +20,42 @@ from giirl_core.types import DEMONSTRATION, Action, Observation, Verb, Weights
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """An action and how likely it was."""
+    """An action, its log-probability and the version of the policy that chose it."""
 
     action: Action
     logp: float  # nats
-    version: int  # of the policy that chose
+    version: int  # learner step of the policy
 
 
 class Agent(Protocol):
-    """Chooses for B observations at once; `uniform` [B, 3] in [0, 1) is all the chance there is."""
+    """Chooses actions for a batch of observations."""
 
-    def __call__(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]: ...
+    def select_actions(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]:
+        """One decision for each of B observations.
+
+        `uniform` [B, 3] in [0, 1) holds the random numbers for each observation; an agent uses no others.
+        """
+        ...
 
 
 class PolicyAgent:
-    """The policy net; samples, or takes the likeliest action when `greedy`."""
+    """The policy net. Samples actions, or takes the most likely one if `greedy`."""
 
     def __init__(self, net: PolicyNet, vectors: Vectors, *, version: int = 0, greedy: bool = False) -> None:
         self.net, self.vectors, self.version, self.greedy = net, vectors, version, greedy
 
     def load(self, weights: Weights) -> None:
-        """Take over newer weights; older ones are refused."""
+        """Replace the weights. Raises ValueError if they are older than the current ones, or corrupt."""
         if weights.version < self.version:
-            raise ValueError(f"policy version {weights.version} is older than {self.version}, which is in use")
+            raise ValueError(f"policy weights have version {weights.version}, wanted {self.version} or later")
         load_net(self.net, weights)
         self.version = weights.version
 
     @torch.no_grad()
-    def __call__(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]:
-        rows = [featurise(seen.page, seen.goal, self.vectors) for seen in observations]
-        drawn = None if self.greedy else torch.from_numpy(uniform).unsqueeze(1)
-        actions, logp = self.net.sample(collate(rows), drawn)
+    def select_actions(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]:
+        rows = [featurise(observation.page, observation.goal, self.vectors) for observation in observations]
+        noise = None if self.greedy else torch.from_numpy(uniform).unsqueeze(1)
+        actions, logp = self.net.sample(collate(rows), noise)
         return [
             Decision(action, p, self.version)
             for action, p in zip(actions.first(), logp.squeeze(1).tolist(), strict=True)
@@ -58,35 +63,35 @@ class PolicyAgent:
 
 
 class ExpertAgent:
-    """A scripted expert for every task; one that finds nothing to do waits, and its episode ends at the step limit."""
+    """A scripted expert for each task. If an expert finds no action, it waits until the step limit ends the episode."""
 
     def __init__(self, expert: Callable[[str], Callable[[Observation], Action]]) -> None:
-        self._expert = expert
+        self._expert_for = expert
 
-    def __call__(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]:
-        return [Decision(self._play(seen), 0.0, DEMONSTRATION) for seen in observations]
+    def select_actions(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]:
+        return [Decision(self._act(observation), 0.0, DEMONSTRATION) for observation in observations]
 
-    def _play(self, seen: Observation) -> Action:
+    def _act(self, observation: Observation) -> Action:
         try:
-            return self._expert(seen.episode.task)(seen)
+            return self._expert_for(observation.episode.task)(observation)
         except NoAction:
             return Action(verb=Verb.WAIT)
 
 
 class RandomAgent:
-    """Uniform over what may be done: clicking any leaf or typing into any field; and over the words to copy."""
+    """Uniformly random: click any leaf or type into any field; the typed words are a random span of the goal."""
 
-    def __call__(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]:
-        return [self._one(seen, draws) for seen, draws in zip(observations, uniform, strict=True)]
+    def select_actions(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]:
+        return [self._decide(observation, row) for observation, row in zip(observations, uniform, strict=True)]
 
-    def _one(self, seen: Observation, uniform: NDArray[np.float32]) -> Decision:
-        clicks, fields = np.flatnonzero(seen.page.leaf), np.flatnonzero(seen.page.typable)
-        drawn = int(uniform[0] * (len(clicks) + len(fields)))
-        logp = -np.log(len(clicks) + len(fields))
-        if drawn < len(clicks):
-            return Decision(Action(verb=Verb.CLICK, element=int(clicks[drawn])), logp, 0)
-        words = len(seen.goal.tokens)
+    def _decide(self, observation: Observation, uniform: NDArray[np.float32]) -> Decision:
+        leaves, fields = np.flatnonzero(observation.page.leaf), np.flatnonzero(observation.page.typable)
+        index = int(uniform[0] * (len(leaves) + len(fields)))
+        logp = -np.log(len(leaves) + len(fields))
+        if index < len(leaves):
+            return Decision(Action(verb=Verb.CLICK, element=int(leaves[index])), logp, 0)
+        words = len(observation.goal.tokens)
         start = int(uniform[1] * words)
         end = start + int(uniform[2] * (words - start))
-        action = Action(verb=Verb.TYPE, element=int(fields[drawn - len(clicks)]), start=start, end=end)
+        action = Action(verb=Verb.TYPE, element=int(fields[index - len(leaves)]), start=start, end=end)
         return Decision(action, logp - np.log(words) - np.log(words - start), 0)

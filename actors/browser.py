@@ -1,4 +1,4 @@
-"""The browser that a config names."""
+"""Opens the browser that a config names."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from giirl_core.types import Browser
 
 
 def open_browser(config: Config, metrics: Metrics) -> Browser:
-    """Started and ready, its restarts counted by cause."""
+    """Start the browser and wait until it is ready. `metrics` counts its restarts by cause."""
     if config.browser == "fake":
         return FakeFarm(tabs=config.actors.tabs)
     return ChromeFarm(
         tabs=config.actors.tabs,
         call_timeout_s=config.actors.call_timeout_s,
         launch_timeout_s=config.actors.launch_timeout_s,
-        on_restart=lambda cause: metrics.browser_restarts.labels(cause).inc(),
+        on_restart=lambda cause: metrics.browser_recoveries.labels(cause).inc(),
     )
 
 
 def check_tasks(config: Config) -> None:
-    """Every task of the config exists; ValueError naming the nearest otherwise."""
+    """Raise ValueError, naming the nearest task, if the browser does not have one of the config's tasks."""
     for task in config.tasks:
         if config.browser == "fake":
             fake.check_task(task)

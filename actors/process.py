@@ -1,4 +1,4 @@
-"""What runs inside the process of an actor."""
+"""The process of an actor: it builds the browser, the agent and the connections, and runs the worker."""
 
 from __future__ import annotations
 
@@ -16,62 +16,66 @@ from actors.worker import Orphaned, Worker, WorkerLimits
 from giirl_core.config import MAX_ACTORS
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.reward import build_policy
-from giirl_core.processes.worker_process import ORPHAN_S, TICK_S, WorkerProcess
+from giirl_core.processes.worker_process import ORPHAN_TIMEOUT_S, TICK_S, WorkerProcess
 from giirl_core.types import Purpose, Weights
 from giirl_core.wire.score_client import ScoreClient
 from giirl_core.wire.transport import Keys
 
 
 class ActorProcess(WorkerProcess):
-    """One process that plays. `run` holds one thread until `stop`; the others are called by another."""
+    """One actor. `run` blocks its thread until `stop`; the platform calls the other methods from other threads."""
 
-    def __init__(self, config: str, run: str, index: int, tally: str, keys: Keys | None) -> None:
+    def __init__(self, config: str, run: str, index: int, counter_file: str, keys: Keys | None) -> None:
         super().__init__(config, keys)
-        self._run, self._index, self._tally = run, index, Path(tally)
+        self._run, self._index, self._counter_file = run, index, Path(counter_file)
         self._worker: Worker | None = None
-        self._newest: Weights | None = None
+        self._weights: Weights | None = None  # the newest
         self._scorers: tuple[str, ...] = ()
 
     def addresses(self) -> tuple[str, str]:
-        """Of the metrics; an actor serves nothing else."""
+        """The address of the metrics, and "" because an actor serves nothing else."""
         return self._metrics.serve(self._config.metrics.host), ""
 
     def run(self, incarnation: int, first: int, learner: str, scorers: tuple[str, ...], weights: Weights) -> None:
-        """Play pages from index `first` on, until stopped."""
+        """Play until stopped.
+
+        `first` is the number of this actor's pages to skip: earlier incarnations may have played them. `learner` and
+        `scorers` are the addresses of the ingest and of the reward services.
+        """
         config, metrics, name = self._config, self._metrics, f"actor-{self._index}"
-        chooser = PolicyAgent(build_policy(config), load_vectors(config.net.vectors))
-        chooser.load(weights)
-        self._newest = weights
-        with ExitStack() as open_things:
-            tally = EpisodeCounter(self._tally, incarnation)
-            open_things.callback(tally.close)
+        agent = PolicyAgent(build_policy(config), load_vectors(config.net.vectors))
+        agent.load(weights)
+        self._weights = weights
+        with ExitStack() as resources:
+            counter = EpisodeCounter(self._counter_file, incarnation)
+            resources.callback(counter.close)
             browser = open_browser(config, metrics)
-            open_things.callback(browser.close)
+            resources.callback(browser.close)
             uplink = Uplink(
                 learner,
                 run=self._run,
                 actor=name,
                 incarnation=incarnation,
-                tally=tally,
-                limits=UplinkLimits(pause_at=config.stream.credits),
+                counter=counter,
+                limits=UplinkLimits(max_unacked=config.stream.credits),
                 keys=self._keys,
             )
-            open_things.callback(uplink.close)
+            resources.callback(uplink.close)
             client = ScoreClient(
                 self._scorers or scorers,
                 identity=f"{name}#{incarnation}",
                 timeout_s=config.actors.score_timeout_s,
                 keys=self._keys,
             )
-            open_things.callback(client.close)
+            resources.callback(client.close)
             limits = WorkerLimits(
-                step_limit=config.step_limit, lock_step=config.stream.policy_lag == 0, orphan_s=ORPHAN_S
+                step_limit=config.step_limit, lock_step=config.stream.policy_lag == 0, orphan_timeout_s=ORPHAN_TIMEOUT_S
             )
-            schedule = self._share(browser.tabs) if limits.lock_step else self._pages(browser.tabs, first)
-            worker = Worker(browser, chooser, schedule, client, uplink, limits=limits, metrics=metrics)
+            schedule = self._lock_step(browser.tabs) if limits.lock_step else self._endless(browser.tabs, first)
+            worker = Worker(browser, agent, schedule, client, uplink, limits=limits, metrics=metrics)
             self._worker = worker
-            if self._newest is not weights:
-                worker.load(self._newest)
+            if self._weights is not weights:  # newer ones came while the browser started
+                worker.load(self._weights)
             if self._stopped.is_set():
                 worker.stop(0.0)
             try:
@@ -80,38 +84,39 @@ class ActorProcess(WorkerProcess):
                 self.leave()
                 raise
             finally:
-                if self._worker is worker:  # else another call of `run` has begun
+                if self._worker is worker:  # otherwise another call of `run` has begun
                     self._worker = None
 
     def rejoin(self, incarnation: int, first: int, learner: str, scorers: tuple[str, ...], weights: Weights) -> None:
-        """A learner came back: go on for it. Returns when `run` does, or at once when nothing runs."""
+        """Work for a learner that was restarted. Returns when `run` does, or at once if it is not running."""
         worker = self._worker
-        self._newest = weights
+        self._weights = weights
         if worker is not None:
             worker.rejoin(learner, weights)
-            self.follow(scorers)
+            self.set_scorers(scorers)
         while self._worker is worker is not None:
             time.sleep(TICK_S)
 
     def load(self, weights: Weights) -> None:
-        """Newer weights; those that come while the browser starts wait for it."""
-        self._newest = weights
+        """Use newer policy weights; while the browser starts they are kept until it is ready."""
+        self._weights = weights
         if self._worker is not None:
             self._worker.load(weights)
 
-    def follow(self, scorers: tuple[str, ...]) -> None:
-        """Where the reward services are now."""
+    def set_scorers(self, scorers: tuple[str, ...]) -> None:
+        """Replace the addresses of the reward services."""
         self._scorers = scorers
         if self._worker is not None:
-            self._worker.follow(scorers)
+            self._worker.set_scorers(scorers)
 
-    def stop(self, settle_s: float) -> None:
+    def stop(self, commit_timeout_s: float) -> None:
+        """Make `run` deliver the finished episodes and return; see `Worker.stop`."""
         self._stopped.set()
         if self._worker is not None:
-            self._worker.stop(settle_s)
+            self._worker.stop(commit_timeout_s)
 
-    def _pages(self, tabs: int, first: int) -> Callable[[int], Schedule]:
-        """Pages that no other actor plays, for ever."""
+    def _endless(self, tabs: int, first: int) -> Callable[[int], Schedule]:
+        """An endless schedule of pages that no other actor plays, for any policy version."""
         return lambda version: Schedule(
             self._config.tasks,
             tabs,
@@ -121,8 +126,8 @@ class ActorProcess(WorkerProcess):
             stride=MAX_ACTORS,
         )
 
-    def _share(self, tabs: int) -> Callable[[int], Schedule]:
-        """This actor's part of the batch that the learner takes at one version."""
+    def _lock_step(self, tabs: int) -> Callable[[int], Schedule]:
+        """This actor's share of the learner's batch for one policy version."""
         config, count = self._config, self._config.actors.count
         quota = config.quota
         return lambda version: Schedule(

@@ -1,4 +1,8 @@
-"""Brings finished episodes to the learner, paced by its credits, and keeps each until a checkpoint covers it."""
+"""Sends an actor's finished episodes to the learner and keeps a copy of each until a checkpoint covers it.
+
+The protocol is described in `giirl_core.wire.delivery`. The learner limits the number of unacknowledged episodes with
+credits, and it can lose its memory and resume from a checkpoint. Then the uplink sends every kept episode again.
+"""
 
 from __future__ import annotations
 
@@ -15,36 +19,41 @@ from giirl_core.wire.messages import Stamp, WireError
 from giirl_core.wire.transport import Dealer, Keys
 
 LOG = logging.getLogger(__name__)
-WAIT_S = 0.02
-RECONNECT_S = 0.02  # before looking again whether there is a connection
+RECEIVE_S = 0.02  # longest wait for a message in `flush` and `wait_committed`
+RETRY_S = 0.02  # between attempts to send while there is no connection
 
 
 class Refused(RuntimeError):
-    """The learner takes nothing from this actor: a newer one replaced it, or it is of another run."""
+    """The learner refuses this actor: a newer incarnation has replaced it, or it belongs to another run."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UplinkLimits:
-    """How much is kept, and how patiently."""
+    """When an actor has to pause, and how often it sends notices."""
 
-    pause_at: int = 8  # episodes not yet acked by the learner: then the actor should stop playing
-    max_kept_bytes: int = 64 << 20  # of copies that no checkpoint covers yet: then, too
-    beat_s: float = 1.0
-    hello_s: float = 0.5  # between attempts to be known
+    max_unacked: int = 8  # episodes not yet acknowledged; from here on the actor should pause
+    max_kept_bytes: int = 64 << 20  # of episodes that no checkpoint covers; from here on the actor should pause, too
+    heartbeat_s: float = 1.0  # interval
+    hello_s: float = 0.5  # interval between attempts to register
 
     def __post_init__(self) -> None:
-        if self.pause_at < 1 or self.max_kept_bytes < 1 or min(self.beat_s, self.hello_s) <= 0:
-            raise ValueError(f"{self} cannot work: wanted numbers from 1 and times above 0")
+        if self.max_unacked < 1 or self.max_kept_bytes < 1 or min(self.heartbeat_s, self.hello_s) <= 0:
+            raise ValueError(f"{self} is out of range: wanted limits >= 1 and intervals > 0")
 
 
 @dataclass(slots=True, kw_only=True)
-class _Copy:
+class _Kept:
+    """An encoded episode."""
+
     message: bytes
-    after: int | None = None  # the last notice before it was sent; None: not on its way
+    sent_after: int | None = None  # number of the last notice before it was sent; None: not in flight
 
 
 class Uplink:
-    """One actor's line to the learner. Nothing here waits, except `flush` and `settle`; belongs to one thread."""
+    """The connection of one actor to the learner. Belongs to one thread.
+
+    Only `flush` and `wait_committed` block.
+    """
 
     def __init__(
         self,
@@ -53,17 +62,17 @@ class Uplink:
         run: str,
         actor: str,
         incarnation: int,
-        tally: EpisodeCounter,
+        counter: EpisodeCounter,
         limits: UplinkLimits | None = None,
         keys: Keys | None = None,
     ) -> None:
         self._stamp = Stamp(run=run, actor=actor, incarnation=incarnation, sequence=0)
-        self._tally, self._keys = tally, keys
+        self._counter, self._keys = counter, keys
         self._limits = limits or UplinkLimits()
-        self._waiting: dict[int, _Copy] = {}  # not acked yet, in order of sequence
-        self._acked: dict[int, _Copy] = {}  # acked, but in no checkpoint
+        self._unacked: dict[int, _Kept] = {}  # by sequence number, ascending
+        self._acked: dict[int, _Kept] = {}  # acknowledged, but not in a checkpoint
         self._kept_bytes = 0
-        self._committed = 0
+        self._committed = 0  # sequence numbers below are covered by a checkpoint
         self._finished = 0
         self._notices = 0
         self._leaving = False
@@ -71,82 +80,88 @@ class Uplink:
 
     @property
     def ready(self) -> bool:
-        """Whether to go on playing."""
-        return self.unacked < self._limits.pause_at and self._kept_bytes < self._limits.max_kept_bytes
+        """Whether the actor may go on playing."""
+        return self.unacked < self._limits.max_unacked and self._kept_bytes < self._limits.max_kept_bytes
 
     @property
     def unacked(self) -> int:
-        """Episodes the learner has not yet taken in or dropped."""
-        return len(self._waiting)
+        """The number of episodes that the learner has neither accepted nor dropped yet."""
+        return len(self._unacked)
 
     @property
     def kept(self) -> int:
-        """Episodes the learner may still ask for again."""
-        return len(self._waiting) + len(self._acked)
+        """The number of episodes that no checkpoint covers yet."""
+        return len(self._unacked) + len(self._acked)
 
     @property
     def silent_for_s(self) -> float:
-        """How long ago the learner was last heard."""
-        return time.monotonic() - self._heard_s
+        """Seconds since the learner's last message."""
+        return time.monotonic() - self._last_heard_s
 
-    def offer(self, episode: Episode) -> int:
-        """Take charge of an episode; returns its sequence number. From here on it is finished, and accounted for."""
+    def submit(self, episode: Episode) -> int:
+        """Count an episode as finished and deliver it; returns its sequence number.
+
+        Raises Refused if a newer incarnation has replaced this actor; then the episode is not counted.
+        """
         message = wire.encode_episode(episode, stamp=replace(self._stamp, sequence=self._finished))
         try:
-            sequence = self._tally.add()
+            sequence = self._counter.add()
         except Replaced as error:
-            raise Refused(f"actor {self._stamp.actor!r} has nothing to finish any more: {error}") from None
+            raise Refused(f"actor {self._stamp.actor!r} cannot finish any more episodes: {error}") from None
         assert sequence == self._finished
-        self._waiting[sequence] = _Copy(message=message)
+        self._unacked[sequence] = _Kept(message=message)
         self._kept_bytes += len(message)
         self._finished += 1
         self.poll()
         return sequence
 
     def poll(self) -> None:
-        """Hear the learner, then send what it will take. Raises Refused when it will never take anything."""
-        self._hear(0.0)
-        self._speak()
+        """Process the learner's messages and send what its credits allow. Raises Refused if it refuses this actor."""
+        self._receive(0.0)
+        self._send()
 
     def flush(self, timeout_s: float) -> bool:
-        """Wait until the learner has acked every episode; False when it has not in time."""
-        return self._outlast(self._waiting, timeout_s)
+        """Wait until the learner has acknowledged every episode; False on timeout."""
+        return self._wait_until_empty(self._unacked, timeout_s)
 
-    def settle(self, timeout_s: float) -> bool:
-        """Ask for a checkpoint, and wait until it covers everything: then this actor may go for good."""
+    def wait_committed(self, timeout_s: float) -> bool:
+        """Ask for a checkpoint and wait until it covers every episode; False on timeout.
+
+        After that the actor can leave for good without losing an episode.
+        """
         self._leaving = True
-        return self.flush(timeout_s) and self._outlast(self._acked, timeout_s)
+        return self.flush(timeout_s) and self._wait_until_empty(self._acked, timeout_s)
 
     def redirect(self, address: str) -> None:
-        """The learner came back elsewhere: offer it what no checkpoint covers."""
+        """Connect to a learner that was restarted at another address, and send it all kept episodes."""
         self._dealer.close()
         self._connect(address)
 
     def close(self) -> None:
-        """Say good-bye and end the connection. What has not been acked is lost, and the learner counts it."""
-        if self._known:
-            self._tell(delivery.BYE)
+        """Say goodbye and disconnect. Unacknowledged episodes are lost, and the learner counts them."""
+        if self._registered:
+            self._send_notice(delivery.BYE)
         self._dealer.close()
 
     def _connect(self, address: str) -> None:
         identity = f"{self._stamp.actor}#{self._stamp.incarnation}".encode()
         self._dealer = Dealer(address, identity=identity, keys=self._keys)
-        self._heard_s = time.monotonic()
-        self._begin()
+        self._last_heard_s = time.monotonic()
+        self._start_session()
 
-    def _begin(self) -> None:
-        """This learner knows nothing of us, and we nothing of what it has acked."""
-        self._known, self._limit = False, 0
-        self._hailed = self._notices  # grants that answer earlier notices are of another learner
-        self._told_s = self._said_s = self._cut_until_s = float("-inf")
-        kept = sorted({**self._acked, **self._waiting}.items())
+    def _start_session(self) -> None:
+        """Begin again with a learner that does not know this actor; its acknowledgements are unknown, too."""
+        self._registered, self._send_limit = False, 0
+        self._session_start = self._notices  # grants that answer earlier notices belong to another session
+        self._notice_sent_s = self._sent_s = self._retry_at_s = float("-inf")
+        kept = sorted({**self._acked, **self._unacked}.items())
         self._acked.clear()
-        self._waiting.clear()
-        for sequence, copy in kept:
-            copy.after = None
-            self._waiting[sequence] = copy
+        self._unacked.clear()
+        for sequence, episode in kept:
+            episode.sent_after = None
+            self._unacked[sequence] = episode
 
-    def _hear(self, wait_s: float) -> None:
+    def _receive(self, wait_s: float) -> None:
         while (message := self._dealer.recv(wait_s)) is not None:
             wait_s = 0.0
             try:
@@ -154,75 +169,82 @@ class Uplink:
                 kind = header["kind"]
                 grant = delivery.read_grant(header) if kind == delivery.GRANT else None
             except WireError as error:
-                LOG.warning("ignored a message of the learner: %s", error)
+                LOG.warning("ignored a message from the learner: %s", error)
                 continue
-            self._heard_s = time.monotonic()
+            self._last_heard_s = time.monotonic()
             if delivery.is_refused(header, self._stamp):
-                known = self._stamp
+                stamp = self._stamp
                 raise Refused(
-                    f"the learner refuses actor {known.actor!r}, incarnation {known.incarnation}, "
-                    f"of run {known.run!r}: {header.get('reason')!r:.80}"
+                    f"the learner refuses actor {stamp.actor!r}, incarnation {stamp.incarnation}, "
+                    f"of run {stamp.run!r}: {header.get('reason')!r:.80}"
                 )
-            if kind == delivery.UNKNOWN_ACTOR and self._known:
-                self._begin()
-            if grant is not None and grant.incarnation == self._stamp.incarnation and grant.notice > self._hailed:
-                self._follow(grant)
+            if kind == delivery.UNKNOWN_ACTOR and self._registered:
+                self._start_session()
+            if (
+                grant is not None
+                and grant.incarnation == self._stamp.incarnation
+                and grant.notice > self._session_start
+            ):
+                self._apply(grant)
 
-    def _follow(self, grant: Grant) -> None:
-        self._known, self._limit = True, grant.limit
+    def _apply(self, grant: Grant) -> None:
+        self._registered, self._send_limit = True, grant.limit
         acked = set(grant.acked)
-        for sequence, copy in list(self._waiting.items()):
+        for sequence, episode in list(self._unacked.items()):
             if sequence < grant.low_watermark or sequence in acked:
-                self._acked[sequence] = self._waiting.pop(sequence)
-            elif copy.after is not None and copy.after < grant.notice:
-                copy.after = None  # said after it and heard before it: it was lost, or came above the limit
+                self._acked[sequence] = self._unacked.pop(sequence)
+            elif episode.sent_after is not None and episode.sent_after < grant.notice:
+                # The learner got a notice that was sent after this episode, but did not accept the episode: it was
+                # lost on the way, or above the limit.
+                episode.sent_after = None
         if grant.committed > self._committed:
             self._committed = grant.committed
             for sequence in [sequence for sequence in self._acked if sequence < grant.committed]:
                 self._kept_bytes -= len(self._acked.pop(sequence).message)
         try:
-            self._tally.settle(grant.settled)
+            self._counter.forget_before(grant.settled)
         except Replaced as error:
-            raise Refused(f"actor {self._stamp.actor!r} is not wanted any more: {error}") from None
+            raise Refused(f"actor {self._stamp.actor!r} has been replaced: {error}") from None
 
-    def _speak(self) -> None:
+    def _send(self) -> None:
+        """Send the notice that is due, then the episodes below the learner's limit that are not in flight."""
         now_s = time.monotonic()
-        if now_s < self._cut_until_s:
+        if now_s < self._retry_at_s:
             return
-        in_flight = any(copy.after is not None for copy in self._waiting.values())
-        if not self._known:
-            if now_s - self._told_s >= self._limits.hello_s:
-                self._tell(delivery.HELLO)
-        elif now_s - (self._told_s if in_flight else self._said_s) >= self._limits.beat_s:
-            self._tell(delivery.HEARTBEAT)
-        for sequence, copy in self._waiting.items():
-            if sequence >= self._limit:
+        in_flight = any(episode.sent_after is not None for episode in self._unacked.values())
+        if not self._registered:
+            if now_s - self._notice_sent_s >= self._limits.hello_s:
+                self._send_notice(delivery.HELLO)
+        elif now_s - (self._notice_sent_s if in_flight else self._sent_s) >= self._limits.heartbeat_s:
+            self._send_notice(delivery.HEARTBEAT)
+        for sequence, episode in self._unacked.items():
+            if sequence >= self._send_limit:
                 break
-            if copy.after is None:
-                if not self._dealer.send(copy.message):
+            if episode.sent_after is None:
+                if not self._dealer.send(episode.message):
                     break
-                copy.after, self._said_s = self._notices, now_s
+                episode.sent_after, self._sent_s = self._notices, now_s
 
-    def _tell(self, kind: str) -> None:
+    def _send_notice(self, kind: str) -> None:
         notice = Notice(
             kind=kind,
-            stamp=replace(self._stamp, sequence=min([self._finished, *self._waiting, *self._acked])),
+            stamp=replace(self._stamp, sequence=min([self._finished, *self._unacked, *self._acked])),
             number=self._notices + 1,
             finished=self._finished,
             full=self._leaving or 2 * self._kept_bytes >= self._limits.max_kept_bytes,
-            before=self._tally.before,
+            before=self._counter.before,
         )
         now_s = time.monotonic()
         if self._dealer.send(delivery.encode_notice(notice)):
             self._notices += 1
-            self._told_s = self._said_s = now_s
+            self._notice_sent_s = self._sent_s = now_s
         else:
-            self._cut_until_s = now_s + RECONNECT_S
+            self._retry_at_s = now_s + RETRY_S
 
-    def _outlast(self, copies: dict[int, _Copy], timeout_s: float) -> bool:
+    def _wait_until_empty(self, episodes: dict[int, _Kept], timeout_s: float) -> bool:
         deadline_s = time.monotonic() + timeout_s
-        self._speak()
-        while copies and time.monotonic() < deadline_s:
-            self._hear(WAIT_S)
-            self._speak()
-        return not copies
+        self._send()
+        while episodes and time.monotonic() < deadline_s:
+            self._receive(RECEIVE_S)
+            self._send()
+        return not episodes

@@ -1,4 +1,7 @@
-"""An actor at work: plays without a pause, has each episode scored while the next go on, streams it to the learner."""
+"""The loop of an actor: play episodes, get their rewards from the reward service, and send them to the learner.
+
+Playing does not wait for the other two: while episodes are scored and delivered, the next ones are played.
+"""
 
 from __future__ import annotations
 
@@ -17,32 +20,32 @@ from giirl_core.types import UNSCORED, Browser, Episode, Weights
 from giirl_core.wire.score_client import ScoreClient
 
 LOG = logging.getLogger(__name__)
-UNPLAYED = -1
-PAUSE_S = 0.005  # between two looks at the sockets while the learner takes nothing
+NO_VERSION = -1
+POLL_S = 0.005  # between polls of the sockets while the actor does not play
 
 
 class Orphaned(RuntimeError):
-    """There is no learner any more."""
+    """The learner has been silent for too long."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkerLimits:
-    """When an actor stops playing, and how long it stays to hand over."""
+    """When an actor ends an episode, pauses, or stops."""
 
-    step_limit: int
-    lock_step: bool = False  # play a share of pages by each version of the weights, then wait for the next
-    max_scoring: int = 64  # episodes under way to the reward service; more and the actor waits for it
-    flush_s: float = 2.0  # when told to stop: for scores still to come, and again to deliver what is finished
-    orphan_s: float = float("inf")  # without a word of the learner: then the actor gives up
+    step_limit: int  # actions per episode
+    lock_step: bool = False  # play one share of pages with each policy version, then wait for the next version
+    max_scoring: int = 64  # episodes waiting for rewards; above this the actor pauses
+    flush_timeout_s: float = 2.0  # after `stop`: to wait for rewards, and again to wait for acknowledgements
+    orphan_timeout_s: float = float("inf")  # without a message from the learner, after which the actor gives up
 
 
 class Worker:
-    """One thread plays; `load`, `follow`, `rejoin` and `stop` may be called from others."""
+    """Runs in one thread. `load`, `set_scorers`, `rejoin` and `stop` may be called from other threads."""
 
     def __init__(
         self,
         browser: Browser,
-        chooser: PolicyAgent,
+        agent: PolicyAgent,
         schedule: Callable[[int], Schedule],
         scorer: ScoreClient,
         uplink: Uplink,
@@ -50,82 +53,89 @@ class Worker:
         limits: WorkerLimits,
         metrics: Metrics,
     ) -> None:
-        self._browser, self._chooser, self._schedule = browser, chooser, schedule
+        """`schedule` returns the pages to play with a policy version; without lock-step it is called once."""
+        self._browser, self._agent, self._schedule = browser, agent, schedule
         self._scorer, self._uplink = scorer, uplink
         self._limits, self._metrics = limits, metrics
-        self._orders: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()  # from other threads
         self._stop = threading.Event()
-        self._settle_s = 0.0
-        self._played = UNPLAYED  # in lock-step: the version whose share is played
+        self._commit_timeout_s = 0.0
+        self._played_version = NO_VERSION  # in lock-step: the version whose share has been started
 
     def load(self, weights: Weights) -> None:
-        """Play by these from the next round on."""
-        self._orders.put(lambda: self._load(weights))
+        """Use these policy weights from the next round on."""
+        self._calls.put(lambda: self._load(weights))
 
-    def follow(self, scorers: Sequence[str]) -> None:
-        """Have episodes scored by these from now on."""
-        self._orders.put(lambda: self._scorer.follow(scorers))
+    def set_scorers(self, scorers: Sequence[str]) -> None:
+        """Replace the addresses of the reward services."""
+        self._calls.put(lambda: self._scorer.set_replicas(scorers))
 
     def rejoin(self, learner: str, weights: Weights) -> None:
-        """The learner came back, there: it gets what it has not saved, and its weights count from anew."""
+        """Work for a learner that was restarted at this address. Its weights may be older than the current ones."""
 
-        def order() -> None:
+        def call() -> None:
             self._uplink.redirect(learner)
-            self._chooser.version = self._played = UNPLAYED
+            self._agent.version = self._played_version = NO_VERSION
             self._load(weights)
 
-        self._orders.put(order)
+        self._calls.put(call)
 
-    def stop(self, settle_s: float) -> None:
-        """Ask `run` to hand over what is finished and return, after at most so long for a checkpoint to cover it."""
-        self._settle_s = settle_s
+    def stop(self, commit_timeout_s: float) -> None:
+        """Make `run` deliver the finished episodes and return.
+
+        With `commit_timeout_s` > 0 it also waits, at most that long, until a checkpoint covers them.
+        """
+        self._commit_timeout_s = commit_timeout_s
         self._stop.set()
 
     def run(self) -> None:
-        """Play until stopped. Episodes under way are then given up; finished ones are delivered."""
+        """Play until stopped, then deliver the finished episodes. Unfinished episodes are abandoned.
+
+        Raises Orphaned or Refused, without delivering anything, if there is no learner to work for.
+        """
         try:
-            self._play_on()
+            self._play_until_stopped()
         except (Orphaned, Refused):
             raise
         except Exception:
-            self._hand_over()
+            self._deliver_finished()
             raise
-        self._hand_over()
+        self._deliver_finished()
 
-    def _play_on(self) -> None:
+    def _play_until_stopped(self) -> None:
         if self._limits.lock_step:
             while not self._stop.is_set():
-                self._played = self._chooser.version
-                self._play(self._schedule(self._played))
-                while self._chooser.version == self._played and not self._stop.is_set():
+                self._played_version = self._agent.version
+                self._play(self._schedule(self._played_version))
+                while self._agent.version == self._played_version and not self._stop.is_set():
                     self._wait("weights")
         else:
-            self._play(self._schedule(self._chooser.version))
+            self._play(self._schedule(self._agent.version))
 
-    def _hand_over(self) -> None:
-        """What nobody has scored in time goes unscored."""
-        deadline_s = time.monotonic() + self._limits.flush_s
+    def _deliver_finished(self) -> None:
+        """Deliver all finished episodes; those without rewards by the timeout go unscored."""
+        deadline_s = time.monotonic() + self._limits.flush_timeout_s
         while self._scorer.pending and time.monotonic() < deadline_s:
-            self._tend()
-            time.sleep(PAUSE_S)
-        for episode in self._scorer.give_up():
-            self._offer_unscored(episode)
-        if self._settle_s:
-            self._uplink.settle(self._settle_s)
+            self._poll()
+            time.sleep(POLL_S)
+        for episode in self._scorer.cancel_pending():
+            self._submit_unscored(episode)
+        if self._commit_timeout_s:
+            self._uplink.wait_committed(self._commit_timeout_s)
         else:
-            self._uplink.flush(self._limits.flush_s)
+            self._uplink.flush(self._limits.flush_timeout_s)
 
-    def _offer_unscored(self, episode: object) -> None:
-        """The learner scores it."""
+    def _submit_unscored(self, episode: object) -> None:
+        """Send an episode without rewards; the learner computes them."""
         assert isinstance(episode, Episode)
         assert episode.trajectory.reward_version == UNSCORED
-        self._metrics.scoring_given_up.inc()
-        self._uplink.offer(episode)
+        self._metrics.episodes_unscored.inc()
+        self._uplink.submit(episode)
 
     def _play(self, schedule: Schedule) -> None:
         rounds = play(
             self._browser,
-            self._chooser,
+            self._agent,
             schedule,
             step_limit=self._limits.step_limit,
             metrics=self._metrics,
@@ -133,28 +143,28 @@ class Worker:
         for finished in rounds:
             for episode in finished:
                 self._scorer.submit(episode, episode.trajectory)
-            self._tend()
+            self._poll()
             if not self._limits.lock_step:
-                self._pause()
-                self._obey()
+                self._pause_if_behind()
+                self._run_calls()
             if self._stop.is_set():
                 break
 
-    def _tend(self) -> None:
-        """Pass on what has been scored, or cannot be."""
+    def _poll(self) -> None:
+        """Send the learner every episode whose scoring has succeeded or failed. Raises Refused or Orphaned."""
         for episode, rewards, version in self._scorer.poll():
             if rewards is None:
-                self._offer_unscored(episode)
+                self._submit_unscored(episode)
                 continue
             assert isinstance(episode, Episode)
             scored = replace(episode.trajectory, rewards=rewards, reward_version=version)
-            self._uplink.offer(replace(episode, trajectory=scored))
+            self._uplink.submit(replace(episode, trajectory=scored))
         self._uplink.poll()
-        if self._uplink.silent_for_s > self._limits.orphan_s:
-            raise Orphaned(f"nothing was heard of the learner for {self._limits.orphan_s:.0f} s")
+        if self._uplink.silent_for_s > self._limits.orphan_timeout_s:
+            raise Orphaned(f"no message from the learner for {self._limits.orphan_timeout_s:.0f} s")
 
-    def _pause(self) -> None:
-        """Hold still while the learner, or the reward service, has more than it can take."""
+    def _pause_if_behind(self) -> None:
+        """Wait while the learner or the reward service has more episodes than it can process."""
         while not self._stop.is_set() and not self._uplink.ready:
             self._wait("learner")
         while not self._stop.is_set() and self._scorer.pending > self._limits.max_scoring:
@@ -162,21 +172,21 @@ class Worker:
 
     def _wait(self, what: str) -> None:
         with waiting(self._metrics, what):
-            time.sleep(PAUSE_S)
-            self._tend()
-            self._obey()
+            time.sleep(POLL_S)
+            self._poll()
+            self._run_calls()
 
-    def _obey(self) -> None:
-        """Do what other threads asked for."""
-        while not self._orders.empty():
-            self._orders.get_nowait()()
+    def _run_calls(self) -> None:
+        """Run the calls that other threads have queued."""
+        while not self._calls.empty():
+            self._calls.get_nowait()()
 
     def _load(self, weights: Weights) -> None:
-        """Swap to weights that are newer, and whole."""
+        """Replace the policy weights, unless the new ones are older or corrupt."""
         try:
-            self._chooser.load(weights)
+            self._agent.load(weights)
         except ValueError as error:
             self._metrics.weights_refused.labels("policy").inc()
-            LOG.warning("refused weights: %s", error)
+            LOG.warning("rejected policy weights: %s", error)
             return
         self._metrics.policy_version.set(weights.version)

@@ -1,0 +1,1 @@
+"""Benchmarks of the browser farm, the Gymnasium environments, message transport and crash recovery."""

@@ -1,9 +1,10 @@
-"""Plays the miniwob package's environment and ours side by side, and compares every field of every observation.
+"""Plays the miniwob package's environment and ours in parallel, and compares every field of every observation.
 
     python -m benchmarks.gym_equality [--task NAME ...] [--episodes 5] [--steps 5] [--json FILE]
 
-Same seeds, same actions, drawn from the page that both show. The package's page is loaded anew for each episode, as
-ours is where it matters. An episode ends at its first difference, since what follows would differ anyway.
+Both get the same seeds, and the same actions, sampled from the page that both show. The package reloads its page before
+each episode; ours does so for tasks that need it. An episode ends at its first difference, because later observations
+would differ anyway.
 """
 
 from __future__ import annotations
@@ -32,57 +33,58 @@ from browser_farm.gym.env import MiniWoB
 from browser_farm.gym.slot import EnvSlot
 
 ELEMENT_ACTIONS = ("NONE", "CLICK_ELEMENT", "FOCUS_ELEMENT_AND_TYPE_TEXT", "FOCUS_ELEMENT_AND_TYPE_FIELD", "TYPE_TEXT")
-HAND_ACTIONS = ("CLICK_COORDS", "DBLCLICK_COORDS", "MOVE_COORDS", "SCROLL_DOWN_COORDS", "PRESS_KEY")
+INPUT_ACTIONS = ("CLICK_COORDS", "DBLCLICK_COORDS", "MOVE_COORDS", "SCROLL_DOWN_COORDS", "PRESS_KEY")
 KEYS = ("<Tab>", "<Backspace>", "<ArrowLeft>", "<Enter>", "a", "Q", "7")
-TOLD = ("done", "raw_reward", "reason")
+COMPARED_INFO = ("done", "raw_reward", "reason")
 
 
 @dataclass(slots=True)
-class Tally:
-    """What the comparison of one task came to."""
+class Comparison:
+    """The results of one task and kind of action."""
 
     episodes: int = 0
-    observations: int = 0  # compared, field by field
+    observations: int = 0  # compared field by field
     elements: int = 0
-    ends: int = 0  # episodes that the page ended, with equal rewards
+    ended: int = 0  # episodes that the page ended, with equal rewards
     screenshots: int = 0
-    restarted: int = 0  # a double click ended the episode, and the package's second click began another
+    restarted: int = 0  # episodes ended by a double click whose second click began a new episode in the package
     actions: Counter[str] = field(default_factory=Counter)
     differences: list[str] = field(default_factory=list)
 
 
 def registered() -> list[str]:
-    """The tasks that the package registers, without the flights."""
+    """The tasks that the package registers, without the flight tasks."""
     names = [
         spec.removeprefix("miniwob/").removesuffix("-v1") for spec in gymnasium.registry if spec.startswith("miniwob/")
     ]
     return sorted(name for name in names if name in miniwob.tasks() and not name.startswith("flight"))
 
 
-class Reference:
-    """The package's environment, moved from task to task in one Chrome."""
+class PackageEnv:
+    """The package's environment, switched between tasks in one Chrome."""
 
     def __init__(self) -> None:
         os.environ.setdefault("MINIWOB_CHROME_BINARY", shutil.which("chromium") or "")
         os.environ.setdefault("MINIWOB_CHROMEDRIVER", shutil.which("chromedriver") or "")
         self.env = MiniWoBEnvironment("click-test", refresh_freq=1)
 
-    def show(self, task: str) -> MiniWoBEnvironment:
+    def switch_task(self, task: str) -> MiniWoBEnvironment:
+        """The environment, set to a task from its next reset on."""
         instance = self.env.instance
         instance.url = miniwob.page_url(task)
         instance.field_extractor = get_field_extractor(task)
         return self.env
 
 
-def move(env: MiniWoB, task: str) -> MiniWoB:
-    """Our environment likewise: all tasks in one tab."""
+def switch_task(env: MiniWoB, task: str) -> MiniWoB:
+    """Our environment, set to a task from its next reset on: all tasks share one tab."""
     env.package = MiniWoBAdapter.of(task)
     env._place = EnvSlot(env.package)
     return env
 
 
 def differences(ours: Any, theirs: Any, where: str = "") -> Iterator[str]:
-    """Every place where two observations differ in value, length, type or dtype."""
+    """A line for each field in which two observations differ in value, length, type or dtype."""
     if isinstance(theirs, dict):
         if ours.keys() != theirs.keys():
             yield f"{where} has {sorted(ours)}, wanted {sorted(theirs)}"
@@ -92,12 +94,12 @@ def differences(ours: Any, theirs: Any, where: str = "") -> Iterator[str]:
     elif isinstance(theirs, (tuple, list)):
         if len(ours) != len(theirs):
             yield f"{where} has {len(ours)} entries, wanted {len(theirs)}"
-        for index, (one, other) in enumerate(zip(ours, theirs, strict=False)):
-            yield from differences(one, other, f"{where}[{index}]")
+        for index, (our_item, their_item) in enumerate(zip(ours, theirs, strict=False)):
+            yield from differences(our_item, their_item, f"{where}[{index}]")
     elif isinstance(theirs, np.ndarray):
         if ours.dtype != theirs.dtype or ours.shape != theirs.shape or not np.array_equal(ours, theirs):
             yield f"{where} is {_short(ours)}, wanted {_short(theirs)}"
-    elif {type(ours), type(theirs)} <= {int, float}:  # the package passes a page's 1 on as it is
+    elif {type(ours), type(theirs)} <= {int, float}:  # the package returns an integer reward of the page as int
         if ours != theirs:
             yield f"{where} is {ours}, wanted {theirs}"
     elif type(ours) is not type(theirs) or ours != theirs:
@@ -108,15 +110,15 @@ def _short(value: Any) -> str:
     return repr(value)[:80]
 
 
-def draw_action(env: MiniWoB, observed: dict[str, Any], kinds: tuple[str, ...], rng: np.random.Generator) -> Any:
-    """An action on something that the page shows."""
+def sample_action(env: MiniWoB, observation: dict[str, Any], kinds: tuple[str, ...], rng: np.random.Generator) -> Any:
+    """A random action type of `kinds`, and an action of it on a random element of the page."""
     kind = str(rng.choice(kinds))
-    elements = [each for each in observed["dom_elements"] if each["ref"] > 0]
-    leaves = [each for each in elements if each["flags"][3]] or elements
-    fields = [each for each in elements if each["tag"].startswith(("input_text", "input_password", "textarea"))]
-    chosen = (fields if "TYPE" in kind and fields and rng.random() < 0.8 else leaves)[0:]
-    element = chosen[int(rng.integers(len(chosen)))]
-    words = [word for word in observed["utterance"].replace('"', "").split() if word.isascii()]
+    elements = [element for element in observation["dom_elements"] if element["ref"] > 0]
+    leaves = [element for element in elements if element["flags"][3]] or elements
+    fields = [e for e in elements if e["tag"].startswith(("input_text", "input_password", "textarea"))]
+    candidates = fields if "TYPE" in kind and fields and rng.random() < 0.8 else leaves
+    element = candidates[int(rng.integers(len(candidates)))]
+    words = [word for word in observation["utterance"].replace('"', "").split() if word.isascii()]
     values = {
         "ref": element["ref"],
         "coords": np.array(
@@ -135,102 +137,107 @@ def draw_action(env: MiniWoB, observed: dict[str, Any], kinds: tuple[str, ...], 
 
 def compare_task(
     task: str,
-    reference: Reference,
+    package: PackageEnv,
     ours: MiniWoB,
-    tally: Tally,
+    comparison: Comparison,
     *,
     kinds: tuple[str, ...],
     seeds: range,
     steps: int,
     screenshots: bool = False,
 ) -> None:
-    """Play one task in both; add to the tally."""
-    theirs = reference.show(task)
+    """Play one task in both environments, and add the results to `comparison`."""
+    theirs = package.switch_task(task)
     for seed in seeds:
         rng = np.random.default_rng(seed)
         options = {"record_screenshots": screenshots}
-        one, _ = ours.reset(seed=seed, options=options)
-        other, _ = theirs.reset(seed=seed, options=options)
-        tally.episodes += 1
-        place, told, over = f"{task} seed {seed} reset", list[str](), False
+        our_obs, _ = ours.reset(seed=seed, options=options)
+        their_obs, _ = theirs.reset(seed=seed, options=options)
+        comparison.episodes += 1
+        where, info_differences, their_done = f"{task} seed {seed} reset", list[str](), False
         for step in range(steps + 1):
-            found = [*told, *differences(one, other)]
-            tally.observations += 1
-            tally.elements += len(other["dom_elements"])
-            tally.screenshots += screenshots
+            found = [*info_differences, *differences(our_obs, their_obs)]
+            comparison.observations += 1
+            comparison.elements += len(their_obs["dom_elements"])
+            comparison.screenshots += screenshots
             if found:
-                tally.differences.append(f"{place}: {len(found)} differences, first {found[0]}")
+                comparison.differences.append(f"{where}: {len(found)} differences, first {found[0]}")
                 break
-            if over or step == steps:
-                tally.ends += over
+            if their_done or step == steps:
+                comparison.ended += their_done
                 break
-            kind, action = draw_action(ours, other, kinds, rng)
-            tally.actions[kind] += 1
-            place = f"{task} seed {seed} step {step} {kind}"
-            one, _, done, _, info = ours.step(action)
-            other, _, over, _, wanted = theirs.step(action)
-            told = list(differences({key: info[key] for key in TOLD}, {key: wanted[key] for key in TOLD}, "info"))
-            if kind == "DBLCLICK_COORDS" and done and not over:
-                tally.restarted += 1
+            kind, action = sample_action(ours, their_obs, kinds, rng)
+            comparison.actions[kind] += 1
+            where = f"{task} seed {seed} step {step} {kind}"
+            our_obs, _, our_done, _, our_info = ours.step(action)
+            their_obs, _, their_done, _, their_info = theirs.step(action)
+            ours_compared, theirs_compared = (
+                {key: info[key] for key in COMPARED_INFO} for info in (our_info, their_info)
+            )
+            info_differences = list(differences(ours_compared, theirs_compared, "info"))
+            if kind == "DBLCLICK_COORDS" and our_done and not their_done:
+                comparison.restarted += 1
                 break
-            if "root_dom" in wanted and "root_dom" in info and info["root_dom"].diff(wanted["root_dom"]):
-                told.append("info.root_dom differs")
+            doms = [info["root_dom"] for info in (our_info, their_info) if "root_dom" in info]
+            if len(doms) == 2 and doms[0].diff(doms[1]):
+                info_differences.append("info.root_dom differs")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--task", action="append", help="again for more; every task but the flights if not given")
-    parser.add_argument("--episodes", type=int, default=5, help="a task and kind of action")
-    parser.add_argument("--steps", type=int, default=5, help="at most, an episode")
+    parser.add_argument("--task", action="append", help="may be repeated; default: all tasks except the flight tasks")
+    parser.add_argument("--episodes", type=int, default=5, help="episodes per task and kind of action")
+    parser.add_argument("--steps", type=int, default=5, help="maximum number of steps per episode")
     parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--hand", action="store_true", help="also what goes by coordinates and keys")
-    parser.add_argument("--trusted", action="store_true", help="ours acts through Chrome's own input too")
+    parser.add_argument("--hand", action="store_true", help="also compare actions by coordinates and keys")
+    parser.add_argument("--trusted", action="store_true", help="our environment uses Chrome's native input too")
     parser.add_argument("--json", type=Path)
-    asked = parser.parse_args()
-    tasks = asked.task or registered()
-    reference = Reference()
-    seeds = range(asked.first_seed, asked.first_seed + asked.episodes)
-    results: dict[str, dict[str, Tally]] = {}
-    ours = MiniWoB("click-test", trusted=asked.trusted)
+    arguments = parser.parse_args()
+    tasks = arguments.task or registered()
+    package = PackageEnv()
+    seeds = range(arguments.first_seed, arguments.first_seed + arguments.episodes)
+    results: dict[str, dict[str, Comparison]] = {}
+    ours = MiniWoB("click-test", trusted=arguments.trusted)
     for task in tasks:
         results[task] = {}
-        move(ours, task)
-        for name, kinds in {"element": ELEMENT_ACTIONS, **({"hand": HAND_ACTIONS} if asked.hand else {})}.items():
-            tally = results[task][name] = Tally()
+        switch_task(ours, task)
+        for name, kinds in {"element": ELEMENT_ACTIONS, **({"hand": INPUT_ACTIONS} if arguments.hand else {})}.items():
+            comparison = results[task][name] = Comparison()
             try:
-                compare_task(task, reference, ours, tally, kinds=kinds, seeds=seeds, steps=asked.steps)
-            except Exception as error:  # noqa: BLE001 (whatever one task does, the others are compared)
-                tally.differences.append(f"{task}: {type(error).__name__}: {str(error).splitlines()[0]}")
-            click.echo(f"{task:30} {name:8} {tally.observations:4} {' '.join(tally.differences[:2]) or 'equal'}")
+                compare_task(task, package, ours, comparison, kinds=kinds, seeds=seeds, steps=arguments.steps)
+            except Exception as error:  # noqa: BLE001 (an error in one task must not stop the comparison of the others)
+                comparison.differences.append(f"{task}: {type(error).__name__}: {str(error).splitlines()[0]}")
+            shown = " ".join(comparison.differences[:2]) or "equal"
+            click.echo(f"{task:30} {name:8} {comparison.observations:4} {shown}")
     ours.close()
-    reference.env.close()
-    if asked.json:
-        asked.json.write_text(json.dumps(summary(results), indent=1) + "\n")
+    package.env.close()
+    if arguments.json:
+        arguments.json.write_text(json.dumps(summary(results), indent=1) + "\n")
 
 
-def summary(results: dict[str, dict[str, Tally]]) -> dict[str, Any]:
-    """Counts for each task, and which tasks were equal throughout."""
+def summary(results: dict[str, dict[str, Comparison]]) -> dict[str, Any]:
+    """The JSON result: counts for each task, and the number of tasks without differences."""
     return {
         "command": " ".join(["python -m benchmarks.gym_equality", *sys.argv[1:]]),
         "python": platform.python_version(),
         "equal": {
-            name: sum(name in each and not each[name].differences for each in results.values())
+            name: sum(name in kinds and not kinds[name].differences for kinds in results.values())
             for name in ("element", "hand")
         },
         "tasks": {
             task: {
                 name: {
-                    "episodes": tally.episodes,
-                    "observations": tally.observations,
-                    "elements": tally.elements,
-                    "ended": tally.ends,
-                    "restarted": tally.restarted,
-                    "actions": dict(tally.actions),
-                    "differences": tally.differences,
+                    "episodes": comparison.episodes,
+                    "observations": comparison.observations,
+                    "elements": comparison.elements,
+                    "ended": comparison.ended,
+                    "restarted": comparison.restarted,
+                    "actions": dict(comparison.actions),
+                    "differences": comparison.differences,
                 }
-                for name, tally in each.items()
+                for name, comparison in kinds.items()
             }
-            for task, each in results.items()
+            for task, kinds in results.items()
         },
     }
 

@@ -1,8 +1,8 @@
-"""Times the Gymnasium environments beside the miniwob package's: python -m benchmarks.gym_speed [--json FILE]
+"""Speed of the Gymnasium environments compared with the miniwob package's: python -m benchmarks.gym_speed [--json FILE]
 
-One policy plays click-checkboxes-large correctly on all sides, from observation to action, resets included; the sides
-take turns of a few seconds in one run. Steps are actions that reached a page; a restart of the vector environment is
-none. CPU time is that of this process and of every process of the browser and its driver.
+One scripted policy plays click-checkboxes-large correctly on all sides, including resets; the sides alternate in turns
+of a few seconds within one run. A step is an action that reached a page; an autoreset of the vector environment does
+not count. CPU time is that of this process and of all processes of the browser and its driver.
 """
 
 from __future__ import annotations
@@ -21,66 +21,66 @@ import click
 import numpy as np
 import psutil
 
-from benchmarks.gym_equality import Reference
+from benchmarks.gym_equality import PackageEnv
 from browser_farm.chrome import reaper
 from browser_farm.gym.env import MiniWoB
 from browser_farm.gym.vector_env import MiniWoBVector
 
 TASK = "click-checkboxes-large"
-PLACES = 8
-FIRST_SEED = 1 << 30  # far from those that anything is learned on
-CLICK = 8  # CLICK_ELEMENT among the package's action types
-Turn = Callable[[float], tuple[int, int, float]]  # seconds to play -> steps, episodes that paid in full, seconds
+ENVS = 8
+FIRST_SEED = 1 << 30  # far from the seeds used elsewhere
+CLICK = 8  # action type CLICK_ELEMENT of the package
+Turn = Callable[[float], tuple[int, int, float]]  # seconds to play -> steps, successful episodes, seconds played
 
 
 def action(utterance: str, elements: tuple[dict[str, Any], ...]) -> dict[str, Any]:
-    """Tick the first box that the instruction names and that is not yet ticked, else submit."""
+    """Click the first unchecked checkbox that the instruction names, or else Submit."""
     wanted = set(utterance.removeprefix("Select ").removesuffix(" and click Submit.").split(", "))
-    for box, words in itertools.pairwise(elements):
-        if box["tag"] == "input_checkbox" and words["text"] in wanted and not box["value"]:
+    for box, label in itertools.pairwise(elements):
+        if box["tag"] == "input_checkbox" and label["text"] in wanted and not box["value"]:
             return {"action_type": CLICK, "ref": box["ref"]}
-    return {"action_type": CLICK, "ref": next(each["ref"] for each in elements if each["tag"] == "button")}
+    return {"action_type": CLICK, "ref": next(element["ref"] for element in elements if element["tag"] == "button")}
 
 
-def one(env: Any, *, screenshots: bool) -> Turn:
-    """Turns of an environment that shows one page."""
+def single_env(env: Any, *, screenshots: bool) -> Turn:
+    """Turns of an environment with one page."""
     seeds = iter(range(FIRST_SEED, 2 * FIRST_SEED))
 
     def play(seconds: float) -> tuple[int, int, float]:
-        steps = won = 0
-        since = time.perf_counter()
-        while time.perf_counter() - since < seconds:
-            observed, _ = env.reset(seed=next(seeds), options={"record_screenshots": screenshots})
+        steps = successes = 0
+        start = time.perf_counter()
+        while time.perf_counter() - start < seconds:
+            observation, _ = env.reset(seed=next(seeds), options={"record_screenshots": screenshots})
             done = False
             while not done:
-                observed, _, done, _, info = env.step(action(observed["utterance"], observed["dom_elements"]))
+                observation, _, done, _, info = env.step(action(observation["utterance"], observation["dom_elements"]))
                 steps += 1
-            won += info["raw_reward"] == 1
-        return steps, won, time.perf_counter() - since
+            successes += info["raw_reward"] == 1
+        return steps, successes, time.perf_counter() - start
 
     return play
 
 
-def many(envs: MiniWoBVector) -> Turn:
+def vector_env(envs: MiniWoBVector) -> Turn:
     """Turns of a vector environment."""
-    observed, _ = envs.reset(seed=FIRST_SEED)
+    observations, _ = envs.reset(seed=FIRST_SEED)
 
     def play(seconds: float) -> tuple[int, int, float]:
-        nonlocal observed
-        steps = won = 0
-        since = time.perf_counter()
-        while time.perf_counter() - since < seconds:
-            shown = list(zip(observed["utterance"], observed["dom_elements"], strict=True))
-            observed, rewards, _, _, _ = envs.step([action(*page) if page[1] else None for page in shown])
-            steps += sum(bool(page[1]) for page in shown)
-            won += int(np.sum(rewards == 1))
-        return steps, won, time.perf_counter() - since
+        nonlocal observations
+        steps = successes = 0
+        start = time.perf_counter()
+        while time.perf_counter() - start < seconds:
+            pages = list(zip(observations["utterance"], observations["dom_elements"], strict=True))
+            observations, rewards, _, _, _ = envs.step([action(*page) if page[1] else None for page in pages])
+            steps += sum(bool(page[1]) for page in pages)
+            successes += int(np.sum(rewards == 1))
+        return steps, successes, time.perf_counter() - start
 
     return play
 
 
 def cpu_s(pids: Iterable[int]) -> float:
-    """CPU time of these processes so far, and of our own."""
+    """CPU seconds so far of these processes and of our own."""
     used = time.process_time()
     for pid in pids:
         with contextlib.suppress(psutil.NoSuchProcess):
@@ -89,18 +89,18 @@ def cpu_s(pids: Iterable[int]) -> float:
     return used
 
 
-def race(sides: Mapping[str, tuple[Turn, set[int]]], rounds: int, seconds: float) -> dict[str, Any]:
-    """What each side did, and its steps per second beside the package's in the same round (the median over rounds)."""
+def compare(sides: Mapping[str, tuple[Turn, set[int]]], rounds: int, seconds: float) -> dict[str, Any]:
+    """The totals of each side, and the ratio of its speed to the package's: the median over rounds."""
     rates: dict[str, list[float]] = {name: [] for name in sides}
     total = {name: np.zeros(4) for name in sides}
     for play, _ in sides.values():
-        play(1.0)  # compiled, cached and laid out once
+        play(1.0)  # warm-up: compile, fill caches, lay out
     for _ in range(rounds):
         for name, (play, pids) in sides.items():
             before = cpu_s(pids)
-            steps, won, took = play(seconds)
+            steps, successes, took = play(seconds)
             rates[name].append(steps / took)
-            total[name] += (steps, won, took, cpu_s(pids) - before)
+            total[name] += (steps, successes, took, cpu_s(pids) - before)
     package = np.array(rates["miniwob"])
     return {
         name: {
@@ -119,33 +119,33 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=4.0)
     parser.add_argument("--json", type=Path)
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     load = os.getloadavg()
-    reference, env, envs = Reference(), MiniWoB(TASK), MiniWoBVector(TASK, PLACES)
+    package, env, envs = PackageEnv(), MiniWoB(TASK), MiniWoBVector(TASK, ENVS)
     try:
-        theirs = reference.show(TASK)
-        theirs.instance.refresh_freq = 0  # as it comes: the page is loaded once
+        theirs = package.switch_task(TASK)
+        theirs.instance.refresh_freq = 0  # the package's default: the page is loaded once
         theirs.instance.driver.get(theirs.instance.url)
         driver = psutil.Process(theirs.instance.driver.service.process.pid)
         browser = {driver.pid, *(child.pid for child in driver.children(recursive=True))}
-        sides = race(
+        sides = compare(
             {
-                "miniwob": (one(theirs, screenshots=True), browser),
-                "miniwob_no_screenshot": (one(theirs, screenshots=False), browser),
-                "single": (one(env, screenshots=False), reaper.processes(Path(env._farm.chrome_directory))),
-                f"vector_{PLACES}": (many(envs), reaper.processes(Path(envs._farm.chrome_directory))),
+                "miniwob": (single_env(theirs, screenshots=True), browser),
+                "miniwob_no_screenshot": (single_env(theirs, screenshots=False), browser),
+                "single": (single_env(env, screenshots=False), reaper.processes(Path(env._farm.chrome_directory))),
+                f"vector_{ENVS}": (vector_env(envs), reaper.processes(Path(envs._farm.chrome_directory))),
             },
-            asked.rounds,
-            asked.seconds,
+            arguments.rounds,
+            arguments.seconds,
         )
     finally:
-        reference.env.close()
+        package.env.close()
         env.close()
         envs.close()
     result = {"task": TASK, "sides": sides, "load_before": load, "load_after": os.getloadavg()}
     click.echo(json.dumps(result, indent=1))
-    if asked.json:
-        asked.json.write_text(json.dumps(result, indent=1) + "\n")
+    if arguments.json:
+        arguments.json.write_text(json.dumps(result, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The other ends of the benchmarks, in processes of their own: simulated actors that feed a learner, and an echo."""
+"""Peer processes for the transport benchmarks: simulated actors that send episodes, and servers that reply."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from giirl_core.wire.messages import Stamp
 from giirl_core.wire.transport import Dealer, Router
 
 ACTORS = 1000
-ANSWER_BYTES = 400  # about as many as the rewards of 32 transitions take
-END_S = 10.0
-BEAT_S = 0.5
+REPLY_BYTES = 400  # about the size of the rewards of 32 transitions
+SHUTDOWN_S = 10.0
+HELLO_INTERVAL_S = 0.5
 
 
-def model(steps: int, rows: int, *, seed: int) -> Episode:
-    """An episode on pages like real ones: short words that repeat, a few classes, boxes everywhere."""
+def sample_episode(steps: int, rows: int, *, seed: int) -> Episode:
+    """An episode of `steps` pages with `rows` rows each. Like real pages: short repeated words, few CSS classes."""
     rng = np.random.default_rng(seed)
     pages = [_page(rng, rows) for _ in range(steps)]
     trajectory = Trajectory(
@@ -57,64 +57,69 @@ def _page(rng: np.random.Generator, rows: int) -> Page:
 
 
 class Echo:
-    """Takes what it gets, and judges nothing: what Ray's side of the benchmarks calls."""
+    """The Ray actor of the benchmarks. It computes nothing."""
 
     def take(self, *values: object) -> int:
+        """Receive values of any kind."""
         return len(values)
 
     def score(self, header: wire.Header, columns: Columns) -> Columns:
-        return no_rewards(columns)
+        """Reply to a scoring request with zero rewards."""
+        return zero_rewards(columns)
 
     def echo(self, message: bytes) -> bytes:
-        return message[:ANSWER_BYTES]
+        """Reply with as many bytes as a real reply has."""
+        return message[:REPLY_BYTES]
 
 
-def no_rewards(columns: Columns) -> Columns:
-    """The columns of an answer: zeros, as many as there are steps in a request."""
+def zero_rewards(columns: Columns) -> Columns:
+    """The columns of a reply: one zero for each step of the request."""
     return {"steps": columns["steps"], "rewards": np.zeros(len(columns["rows"]), np.float32)}
 
 
 def score(message: bytes) -> bytes:
-    """The same over our wire."""
+    """Reply to an encoded scoring request with an encoded reply of zero rewards."""
     header, columns = wire.decode(message)
-    return wire.encode({"kind": "scores", "request": header["request"], "version": 1}, no_rewards(columns))
+    return wire.encode({"kind": "scores", "request": header["request"], "version": 1}, zero_rewards(columns))
 
 
 def echo(message: bytes) -> bytes:
-    """Nothing but bytes, as many back as an answer has."""
-    return message[:ANSWER_BYTES]
+    """Reply with as many bytes as a real reply has, without decoding."""
+    return message[:REPLY_BYTES]
 
 
-class Feed:
-    """Tells simulated actors in another process how many episodes to hand over between them."""
+class SimulatedActors:
+    """Controls simulated actors in another process."""
 
     RUN = "bench"
 
-    def __init__(self, orders: Connection) -> None:
-        self._orders = orders
+    def __init__(self, pipe: Connection) -> None:
+        self._pipe = pipe
 
-    def go(self, episodes: int) -> None:
-        self._orders.send_bytes(b"%d" % episodes)
+    def send(self, episodes: int) -> None:
+        """Let the actors together send `episodes` more episodes."""
+        self._pipe.send_bytes(b"%d" % episodes)
 
     @classmethod
     def stamp(cls, actor: int, sequence: int) -> Stamp:
+        """The stamp of an episode of one of the actors."""
         return Stamp(run=cls.RUN, actor=f"actor-{actor}", incarnation=0, sequence=sequence)
 
 
-class _Line:
-    """One simulated actor: no playing, no encoding of pages, no copies kept; but the same messages and credits."""
+class _SimulatedActor:
+    """One actor with the real messages and credits, but without playing, encoding pages or keeping copies."""
 
     def __init__(self, address: str, actor: int) -> None:
         self._actor, self._dealer = actor, Dealer(address, identity=b"actor-%d" % actor)
-        self._sent, self._limit, self._notices, self._told_s = 0, 0, 0, 0.0
+        self._sent, self._limit, self._hello_s = 0, 0, 0.0
 
     def feed(self, header: wire.Header, arrays: Any, wanted: int) -> int:
-        """Send as many as the learner takes, `wanted` at most."""
+        """Send as many episodes as the learner's credits allow, at most `wanted`. Returns how many."""
         while (grant := self._dealer.recv(0.0)) is not None:
             self._limit = max(self._limit, delivery.read_grant(wire.decode(grant)[0]).limit)
-        if not self._limit and time.monotonic() - self._told_s > BEAT_S:
-            self._told_s = time.monotonic()
-            notice = Notice(kind=delivery.HELLO, stamp=Feed.stamp(self._actor, 0), number=1, finished=0)
+        if not self._limit and time.monotonic() - self._hello_s > HELLO_INTERVAL_S:
+            self._hello_s = time.monotonic()
+            notice = Notice(kind=delivery.HELLO, stamp=SimulatedActors.stamp(self._actor, 0), number=1, finished=0)
             self._dealer.send(delivery.encode_notice(notice))
         before = self._sent
         while self._sent < self._limit and self._sent - before < wanted:
@@ -125,60 +130,61 @@ class _Line:
         return self._sent - before
 
 
-def _feed(address: str, actors: int, rows: int, orders: Connection) -> None:
-    header, arrays = wire.decode(wire.encode_episode(model(10, rows, seed=0), stamp=Feed.stamp(0, 0)))
-    lines = [_Line(address, actor) for actor in range(actors)]
+def _run_actors(address: str, actors: int, rows: int, pipe: Connection) -> None:
+    episode = sample_episode(10, rows, seed=0)
+    header, arrays = wire.decode(wire.encode_episode(episode, stamp=SimulatedActors.stamp(0, 0)))
+    simulated = [_SimulatedActor(address, actor) for actor in range(actors)]
     left = 0
     while True:
-        if orders.poll(0 if left else 0.05):
+        if pipe.poll(0 if left else 0.05):
             try:
-                left += int(orders.recv_bytes())
+                left += int(pipe.recv_bytes())
             except EOFError:
                 return
-        for line in lines:
-            left -= line.feed(header, arrays, left)
+        for actor in simulated:
+            left -= actor.feed(header, arrays, left)
 
 
-def _serve(answer: Callable[[bytes], bytes], orders: Connection) -> None:
+def _run_server(reply: Callable[[bytes], bytes], pipe: Connection) -> None:
     with closing(Router()) as router:
-        orders.send_bytes(router.address.encode())
+        pipe.send_bytes(router.address.encode())
         while True:
             if (received := router.recv(0.5)) is not None:
                 peer, message = received
-                router.send(peer, answer(message))
-            elif orders.poll(0):
+                router.send(peer, reply(message))
+            elif pipe.poll(0):
                 return
 
 
 @contextmanager
-def feeding(address: str, actors: int, rows: int) -> Iterator[Feed]:
-    """So many simulated actors that hand over episodes of ten such pages to a learner."""
-    with _process(_feed, address, actors, rows) as orders:
-        yield Feed(orders)
+def simulated_actors(address: str, actors: int, rows: int) -> Iterator[SimulatedActors]:
+    """Start `actors` simulated actors that send episodes of ten pages with `rows` rows to a learner at `address`."""
+    with _process(_run_actors, address, actors, rows) as pipe:
+        yield SimulatedActors(pipe)
 
 
 @contextmanager
-def serving(answer: Callable[[bytes], bytes]) -> Iterator[str]:
-    """Somebody who answers so; yields the address."""
-    with _process(_serve, answer) as orders:
-        if not orders.poll(60.0):
-            raise TimeoutError("the other end did not start within 60 s")
-        yield orders.recv_bytes().decode()
+def reply_server(reply: Callable[[bytes], bytes]) -> Iterator[str]:
+    """Start a server that replies with `reply(message)`. Yields its address. TimeoutError if it does not start."""
+    with _process(_run_server, reply) as pipe:
+        if not pipe.poll(60.0):
+            raise TimeoutError("the server process did not start within 60 s")
+        yield pipe.recv_bytes().decode()
 
 
 @contextmanager
-def _process(work: Any, *values: Any) -> Iterator[Connection]:
-    """Started afresh, without what this process has open; ends when the other end of its pipe does."""
+def _process(target: Any, *args: Any) -> Iterator[Connection]:
+    """Run a function in a spawned process, which inherits no open files. It ends when its pipe is closed."""
     spawn = multiprocessing.get_context("spawn")
-    mine, its = spawn.Pipe()
-    process = spawn.Process(target=work, args=(*values, its), daemon=True)
+    ours, theirs = spawn.Pipe()
+    process = spawn.Process(target=target, args=(*args, theirs), daemon=True)
     process.start()
-    its.close()
+    theirs.close()
     try:
-        yield mine
+        yield ours
     finally:
-        mine.close()
-        process.join(END_S)
+        ours.close()
+        process.join(SHUTDOWN_S)
         if process.is_alive():
             process.kill()
-            process.join(END_S)
+            process.join(SHUTDOWN_S)

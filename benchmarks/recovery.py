@@ -1,11 +1,11 @@
-"""How soon a run is whole again after a part of it was killed: an actor, a replica of the reward service, the learner.
+"""Recovery time of a run after the kill of an actor, of a replica of the reward service, or of the learner.
 
     python -m benchmarks.recovery [--times 3] [--json FILE]
 
-A run with real Chrome on a Ray cluster of one node, as `ray start --head` makes it. Everything is killed with SIGKILL.
-An actor is back when its new incarnation has begun, and plays when that has finished its first episode (Chrome's start
-lies in between); a replica, when the process in its place has weights; the learner, when the
-process that resumes the run, timed from its start, has made a step that was not in the checkpoint.
+The run uses real Chrome, on a Ray cluster of one node as `ray start --head` starts it. All kills are SIGKILL. An actor
+has recovered when its new incarnation has started, and plays when that has finished its first episode; Chrome starts in
+between. A replica has recovered when its replacement has weights. The learner has recovered when the process that
+resumes the run, timed from its start, has made a step beyond the checkpoint.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ import psutil
 
 from actors.episode_counter import read_counts
 from giirl_core.files import atomic_write
-from giirl_core.processes.supervision import CRASHES
+from giirl_core.processes.supervision import MAX_CRASHES
 from giirl_core.progress import Display, Job
 from learner.checkpoint import latest_checkpoint
 from tests.end_to_end.cluster import ray_cluster
 from tests.end_to_end.commands import Command, find, run_folder, scrape, step, total
 
-WORDS = (
+SETTINGS = (
     "runtime=ray",
     "iterations=100000",
     "checkpoint_every=10",
@@ -39,72 +39,78 @@ WORDS = (
     "demos.per_task=8",
     "actors.heartbeat_timeout_s=20.0",
 )
-START_S = 200.0
-LOOK_S = 0.05  # a look costs milliseconds of the cores that recover
+TIMEOUT_S = 200.0
+POLL_S = 0.05  # each poll takes milliseconds from the cores that recover
 
 
-def since(begun_s: float, true: Callable[[], object]) -> float:
-    """Seconds until something became true."""
-    while not true():
-        if time.monotonic() - begun_s > START_S:
-            raise TimeoutError(f"not whole again after {START_S} s")
-        time.sleep(LOOK_S)
-    return round(time.monotonic() - begun_s, 2)
+def recovery_s(start_s: float, condition: Callable[[], object]) -> float:
+    """Seconds from `start_s` until the condition holds. TimeoutError after TIMEOUT_S."""
+    while not condition():
+        if time.monotonic() - start_s > TIMEOUT_S:
+            raise TimeoutError(f"the run has not recovered within {TIMEOUT_S} s")
+        time.sleep(POLL_S)
+    return round(time.monotonic() - start_s, 2)
 
 
 def kill(process: psutil.Process) -> float:
+    """Kill a process. Returns the time of the kill."""
     process.kill()
     return time.monotonic()
 
 
 def measure(times: int, display: Display) -> dict[str, Any]:
-    """Kill each so many times."""
-    found: dict[str, list[float]] = {name: [] for name in ("actor_back_s", "actor_plays_s", "replica_s", "learner_s")}
-    with ray_cluster() as (head, _, driver), run_folder() as run, ExitStack() as inside:
+    """Kill each part `times` times. Returns all recovery times and their medians, in seconds."""
+    seconds: dict[str, list[float]] = {name: [] for name in ("actor_back_s", "actor_plays_s", "replica_s", "learner_s")}
+    with ray_cluster() as (head, _, driver), run_folder() as run, ExitStack() as stack:
         env = {**driver, "TMPDIR": str(head.temporary)}
-        job = inside.enter_context(display.job("kills", 3 * times))
-        with Command("train", *WORDS, f"run={run}", env=env) as learner:
-            learner.until(lambda: step(run) > 10, "first checkpoint", timeout_s=START_S)
-            tally = head.temporary / "giirl" / (run / "identity").read_text() / "actor-0.tally"
+        job = stack.enter_context(display.job("kills", 3 * times))
+        with Command("train", *SETTINGS, f"run={run}", env=env) as learner:
+            learner.until(lambda: step(run) > 10, "first checkpoint", timeout_s=TIMEOUT_S)
+            counts = head.temporary / "giirl" / (run / "identity").read_text() / "actor-0.tally"
             for _ in range(times):
-                before, (actor,) = newest(tally)[0], find(head, "ray::ActorProcess")
+                before, (actor,) = last_incarnation(counts)[0], find(head, "ray::ActorProcess")
                 killed_s = kill(actor)
-                found["actor_back_s"].append(since(killed_s, lambda: newest(tally)[0] > before))  # noqa: B023
-                found["actor_plays_s"].append(since(killed_s, lambda: newest(tally)[1]))
-                settle(learner, run, job)
+                seconds["actor_back_s"].append(recovery_s(killed_s, lambda: last_incarnation(counts)[0] > before))  # noqa: B023
+                seconds["actor_plays_s"].append(recovery_s(killed_s, lambda: last_incarnation(counts)[1]))
+                run_on(learner, run, job)
             for _ in range(times):
-                known = set(find(head, "ray::RewardProcess"))
+                known = replicas(head)
                 killed_s = kill(min(known, key=lambda process: process.pid))
-                found["replica_s"].append(
-                    since(killed_s, lambda: any(map(serves, set(find(head, "ray::RewardProcess")) - known)))  # noqa: B023
+                seconds["replica_s"].append(
+                    recovery_s(killed_s, lambda: any(map(has_weights, replicas(head) - known)))  # noqa: B023
                 )
-                settle(learner, run, job)
-        for _ in range(times):  # leaving the block has killed the last one
-            saved, begun_s = int(latest_checkpoint(run / "checkpoints").name.split("-")[1]), time.monotonic()
-            curve = (run / "curve.jsonl").stat().st_ino  # of another file once it has been cut
+                run_on(learner, run, job)
+        for _ in range(times):  # the learner of the block above was killed when the block ended
+            saved, start_s = int(latest_checkpoint(run / "checkpoints").name.split("-")[1]), time.monotonic()
+            curve = (run / "curve.jsonl").stat().st_ino  # resuming truncates the curve, which creates a new file
             with Command("train", "--resume", str(run), env=env) as learner:
-                found["learner_s"].append(
-                    since(begun_s, lambda: (run / "curve.jsonl").stat().st_ino != curve and step(run) > saved)  # noqa: B023
+                seconds["learner_s"].append(
+                    recovery_s(start_s, lambda: (run / "curve.jsonl").stat().st_ino != curve and step(run) > saved)  # noqa: B023
                 )
-                settle(learner, run, job)
-    medians = {name.replace("_s", "_median_s"): round(statistics.median(some), 2) for name, some in found.items()}
-    return {"times": times, **medians, **found}
+                run_on(learner, run, job)
+    medians = {name.replace("_s", "_median_s"): round(statistics.median(some), 2) for name, some in seconds.items()}
+    return {"times": times, **medians, **seconds}
 
 
-def settle(learner: Command, run: Path, job: Job) -> None:
-    """Let the run go on for a while."""
+def run_on(learner: Command, run: Path, job: Job) -> None:
+    """Let the run make some more steps."""
     reached = step(run)
-    learner.until(lambda: step(run) > reached + 10, "further steps", timeout_s=START_S)
+    learner.until(lambda: step(run) > reached + 10, "further steps", timeout_s=TIMEOUT_S)
     job.advance(1)
 
 
-def newest(tally: Path) -> tuple[int, int]:
-    """The last incarnation of an actor, and how much it has finished."""
-    return read_counts(tally)[-1]
+def last_incarnation(counts: Path) -> tuple[int, int]:
+    """The last incarnation of an actor, and how many episodes it has finished."""
+    return read_counts(counts)[-1]
 
 
-def serves(replica: psutil.Process) -> bool:
-    """Whether a reward service has weights to score with, by what one of its ports says."""
+def replicas(head: Command) -> set[psutil.Process]:
+    """The processes of the reward service."""
+    return set(find(head, "ray::RewardProcess"))
+
+
+def has_weights(replica: psutil.Process) -> bool:
+    """Whether a reward service has weights, according to the metrics on one of its ports."""
     try:
         ports = {c.laddr.port for c in replica.net_connections("tcp") if c.status == psutil.CONN_LISTEN}
     except psutil.NoSuchProcess:
@@ -115,17 +121,17 @@ def serves(replica: psutil.Process) -> bool:
 
 def _version(port: int) -> float:
     try:
-        return total(scrape(f"127.0.0.1:{port}", 2 * LOOK_S), "giirl_reward_version")
+        return total(scrape(f"127.0.0.1:{port}", 2 * POLL_S), "giirl_reward_version")
     except (OSError, ValueError, http.client.HTTPException):
-        return -1.0  # another port of it
+        return -1.0  # not the metrics port
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "--times", type=int, default=3, choices=range(1, CRASHES - 1), help="kills of each; more are a crash loop"
+        "--times", type=int, default=3, choices=range(1, MAX_CRASHES - 1), help="kills per part; more are a crash loop"
     )
-    parser.add_argument("--json", type=Path, help="write the numbers here")
+    parser.add_argument("--json", type=Path, help="write the result to this file")
     arguments = parser.parse_args()
     result = {"recovery": measure(arguments.times, Display())}
     if arguments.json:

@@ -1,9 +1,9 @@
-"""Kills a farm's browser again and again, and counts what stays behind of it.
+"""Kills a farm's browser repeatedly, and counts the resources that are not released.
 
     python benchmarks/relaunches.py [--times 200] [--json FILE]
 
-After each kill the farm has to play on. Counted before and after: browsers, child processes, open file descriptors,
-threads, and folders in the temporary directory. Exit status 1 where any of them has grown.
+After each kill the farm must play on. Counts before and after: browsers, child processes, open file descriptors,
+threads, and folders in the temporary directory. Exit status 1 if any count has grown.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from giirl_core.files import atomic_write
 from giirl_core.progress import Display
 from giirl_core.types import Command, EpisodeSpec, Verb
 
-SETTLED_S = 20.0  # for what has been killed to be gone
+SETTLE_TIMEOUT_S = 20.0  # for killed processes to disappear
 
 
 def count(farm: ChromeFarm, folder: Path) -> dict[str, int]:
-    """What there is now."""
+    """The current number of each resource."""
     return {
         "chromes": sum(_is_browser(pid) for pid in reaper.processes(Path(farm.chrome_directory))),
         "children": len(psutil.Process().children()),
@@ -42,34 +42,36 @@ def count(farm: ChromeFarm, folder: Path) -> dict[str, int]:
 
 
 def _is_browser(pid: int) -> bool:
-    """A browser process, and neither its driver nor one of its helpers."""
+    """Whether a process is the browser itself, not its driver or a helper process."""
     try:
-        words = psutil.Process(pid).cmdline()
+        arguments = psutil.Process(pid).cmdline()
     except psutil.NoSuchProcess:
         return False
-    return any(word.startswith("--user-data-dir=") for word in words) and not any("--type=" in w for w in words)
+    is_main = not any("--type=" in argument for argument in arguments)
+    return is_main and any(argument.startswith("--user-data-dir=") for argument in arguments)
 
 
 def kill_browser(farm: ChromeFarm) -> None:
+    """Kill the farm's browser with SIGKILL."""
     for pid in reaper.processes(Path(farm.chrome_directory)):
         if _is_browser(pid):
             os.kill(pid, signal.SIGKILL)
 
 
 def run(times: int, folder: Path) -> dict[str, Any]:
-    """Kill and play on so many times; `folder` is where the farm's own folders appear."""
+    """Kill the browser and play on `times` times. `folder` is the temporary directory of the farm's folders."""
     slowest = 0.0
     with ChromeFarm(tabs=1, call_timeout_s=20.0) as farm, Display().job("relaunches", times) as job:
         farm.reset({0: EpisodeSpec(task="click-test", seed=0)})
         before = count(farm, folder)
         for number in range(times):
             kill_browser(farm)
-            since = time.monotonic()
+            start = time.monotonic()
             result = farm.step({0: Command(verb=Verb.WAIT, following=EpisodeSpec(task="click-test", seed=number))})[0]
             assert (result.lost, result.observation is None) == ("browser_died", False), result
-            slowest = max(slowest, time.monotonic() - since)
-            job.advance(1, f"{slowest:.1f} s at most")
-        deadline = time.monotonic() + SETTLED_S
+            slowest = max(slowest, time.monotonic() - start)
+            job.advance(1, f"slowest {slowest:.1f} s")
+        deadline = time.monotonic() + SETTLE_TIMEOUT_S
         while (after := count(farm, folder)) != before and time.monotonic() < deadline:
             time.sleep(0.2)
     return {"times": times, "slowest_s": round(slowest, 2), "before": before, "after": after}
@@ -79,13 +81,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--times", type=int, default=200)
     parser.add_argument("--json", type=Path)
-    wanted = parser.parse_args()
-    found = run(wanted.times, Path(tempfile.gettempdir()))
-    if wanted.json is not None:
-        with atomic_write(wanted.json) as file:
-            file.write(json.dumps(found, indent=2).encode() + b"\n")
-    print(json.dumps(found))  # noqa: T201
-    return 0 if all(found["after"][name] <= before for name, before in found["before"].items()) else 1
+    arguments = parser.parse_args()
+    result = run(arguments.times, Path(tempfile.gettempdir()))
+    if arguments.json is not None:
+        with atomic_write(arguments.json) as file:
+            file.write(json.dumps(result, indent=2).encode() + b"\n")
+    print(json.dumps(result))  # noqa: T201
+    return 0 if all(result["after"][name] <= before for name, before in result["before"].items()) else 1
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The two sides of the farm's benchmark: ours, and the miniwob package's environment, played by the same experts."""
+"""The two sides of the farm benchmark: our farm and the miniwob package's environment, played by the same experts."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from browser_farm.experts import expert
 from browser_farm.farm import ChromeFarm
 from giirl_core.types import Action, Command, EpisodeSpec, Goal, Observation, Page, Verb
 
-FIRST_SEED = 1 << 40  # far from the pages of everybody else
-CLICK_ELEMENT, FOCUS_AND_TYPE = 8, 12  # of the package's preset "all_supported"
+FIRST_SEED = 1 << 40  # far from the seeds used elsewhere
+CLICK_ELEMENT, FOCUS_AND_TYPE = 8, 12  # action types in the package's preset "all_supported"
 
 
 @dataclass(kw_only=True)
-class Played:
-    """What some seconds of play came to. Time and CPU are those of the environment; an expert's are left out."""
+class PlayStats:
+    """Statistics of some seconds of play. Wall and CPU time are those of the environment, without the expert."""
 
     steps: int = 0
     episodes: int = 0
@@ -32,13 +32,14 @@ class Played:
     wall_s: float = 0.0
     cpu_s: float = 0.0
 
-    def add(self, other: Played) -> None:
+    def add(self, other: PlayStats) -> None:
+        """Add the numbers of another turn."""
         for name in ("steps", "episodes", "successes", "wall_s", "cpu_s"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
 
 
 def cpu_s(pids: set[int]) -> dict[int, float]:
-    """CPU seconds that each process has used."""
+    """CPU seconds used so far by each process that still exists."""
     used = {}
     for pid in pids:
         try:
@@ -50,7 +51,7 @@ def cpu_s(pids: set[int]) -> dict[int, float]:
 
 
 def pss_mb(pids: set[int]) -> float:
-    """Memory of these processes in MB; what several share is counted once."""
+    """Proportional set size of these processes in MB: shared memory is counted once."""
     total_kb = 0
     for pid in pids:
         try:
@@ -62,7 +63,7 @@ def pss_mb(pids: set[int]) -> float:
 
 
 class Meter:
-    """Adds up what the environment takes, in this process and in its browser."""
+    """Measures wall and CPU time of calls to an environment, in this process and in its browser."""
 
     def __init__(self, pids: Callable[[], set[int]]) -> None:
         self._pids = pids
@@ -70,21 +71,23 @@ class Meter:
         self.wall_s = 0.0
         self._own_s = 0.0
 
-    def __call__(self, call: Callable[..., Any], *given: Any, **named: Any) -> Any:
+    def __call__(self, call: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+        """Make a call and add its time."""
         wall, own = time.perf_counter(), time.process_time()
-        answer = call(*given, **named)
+        result = call(*args, **kwargs)
         self.wall_s += time.perf_counter() - wall
         self._own_s += time.process_time() - own
-        return answer
+        return result
 
     @property
     def cpu_s(self) -> float:
+        """CPU seconds of the calls so far."""
         after = cpu_s(self._pids())
         return self._own_s + sum(used - self._before.get(pid, 0.0) for pid, used in after.items())
 
 
 class FarmSide:
-    """Our farm, all of its tabs at once."""
+    """Our farm with all of its tabs."""
 
     def __init__(self, tabs: int) -> None:
         self.tabs = tabs
@@ -93,31 +96,31 @@ class FarmSide:
     def pids(self) -> set[int]:
         return reaper.processes(Path(self.farm.chrome_directory))
 
-    def play(self, task: str, seconds: float, seeds: Iterator[int]) -> Played:
-        choose, played, meter = expert(task), Played(), Meter(self.pids)
+    def play(self, task: str, seconds: float, seeds: Iterator[int]) -> PlayStats:
+        act, stats, meter = expert(task), PlayStats(), Meter(self.pids)
         first = {tab: EpisodeSpec(task=task, seed=next(seeds)) for tab in range(self.tabs)}
-        shown: dict[int, Observation] = meter(self.farm.reset, first)
+        observations: dict[int, Observation] = meter(self.farm.reset, first)
         while meter.wall_s < seconds:
             commands = {
-                tab: Command.of(choose(seen), seen, following=EpisodeSpec(task=task, seed=next(seeds)))
-                for tab, seen in shown.items()
+                tab: Command.of(act(observation), observation, following=EpisodeSpec(task=task, seed=next(seeds)))
+                for tab, observation in observations.items()
             }
             for tab, result in meter(self.farm.step, commands).items():
                 if result.lost:
-                    raise RuntimeError(f"tab {tab} was lost while nothing was wrong: {result.lost}")
-                played.steps += 1
-                played.episodes += result.done
-                played.successes += result.done and result.raw_reward == 1.0
-                shown[tab] = result.observation
-        played.wall_s, played.cpu_s = meter.wall_s, meter.cpu_s
-        return played
+                    raise RuntimeError(f"the farm lost tab {tab}: {result.lost}, wanted a run without faults")
+                stats.steps += 1
+                stats.episodes += result.done
+                stats.successes += result.done and result.raw_reward == 1.0
+                observations[tab] = result.observation
+        stats.wall_s, stats.cpu_s = meter.wall_s, meter.cpu_s
+        return stats
 
     def close(self) -> None:
         self.farm.close()
 
 
 class PackageSide:
-    """One environment of the miniwob package, as it comes or without screenshots."""
+    """One environment of the miniwob package, with or without screenshots."""
 
     def __init__(self, task: str, *, screenshots: bool) -> None:
         import miniwob
@@ -135,33 +138,33 @@ class PackageSide:
         process = psutil.Process(self._driver)
         return {self._driver, *(child.pid for child in process.children(recursive=True))}
 
-    def play(self, task: str, seconds: float, seeds: Iterator[int]) -> Played:
-        choose, played = expert(task), Played()
+    def play(self, task: str, seconds: float, seeds: Iterator[int]) -> PlayStats:
+        act, stats = expert(task), PlayStats()
         if self._driver is None:
             self._env.reset(seed=0, options={"record_screenshots": self._screenshots})
             self._driver = self._env.unwrapped.instance.driver.service.process.pid  # type: ignore[attr-defined]
         meter = Meter(self.pids)
         while meter.wall_s < seconds:
             spec = EpisodeSpec(task=task, seed=next(seeds))
-            observed, _ = meter(self._env.reset, seed=spec.seed)
+            raw, _ = meter(self._env.reset, seed=spec.seed)
             done = False
             while not done:
-                seen = _as_ours(spec, observed)
-                action = _in_the_packages_words(choose(seen), seen, self._env.action_space)
-                observed, _, done, _, info = meter(self._env.step, action)
-                played.steps += 1
-            played.episodes += 1
-            played.successes += info["raw_reward"] == 1.0
-        played.wall_s, played.cpu_s = meter.wall_s, meter.cpu_s
-        return played
+                observation = _observation(spec, raw)
+                action = _package_action(act(observation), observation, self._env.action_space)
+                raw, _, done, _, info = meter(self._env.step, action)
+                stats.steps += 1
+            stats.episodes += 1
+            stats.successes += info["raw_reward"] == 1.0
+        stats.wall_s, stats.cpu_s = meter.wall_s, meter.cpu_s
+        return stats
 
     def close(self) -> None:
         self._env.close()
 
 
-def _as_ours(spec: EpisodeSpec, observed: dict[str, Any]) -> Observation:
-    """The package's observation in the form that experts read."""
-    elements = [e for e in observed["dom_elements"] if e["tag"] not in ("body", "br") and e["id"] != "wrap"]
+def _observation(spec: EpisodeSpec, raw: dict[str, Any]) -> Observation:
+    """Convert the package's observation to the one that experts get."""
+    elements = [e for e in raw["dom_elements"] if e["tag"] not in ("body", "br") and e["id"] != "wrap"]
     row_of = {e["ref"]: row for row, e in enumerate(elements)}
     count = len(elements)
     page = Page(
@@ -177,7 +180,7 @@ def _as_ours(spec: EpisodeSpec, observed: dict[str, Any]) -> Observation:
         focused=np.array([e["flags"][0] for e in elements], dtype=np.bool_),
         tampered=np.array([e["flags"][1] for e in elements], dtype=np.bool_),
     )
-    return Observation(episode=spec, page=page, goal=Goal(observed["utterance"]))
+    return Observation(episode=spec, page=page, goal=Goal(raw["utterance"]))
 
 
 def _value(element: dict[str, Any]) -> str:
@@ -186,11 +189,12 @@ def _value(element: dict[str, Any]) -> str:
     return str(element["value"])
 
 
-def _in_the_packages_words(action: Action, seen: Observation, space: Any) -> dict[str, Any]:
+def _package_action(action: Action, observation: Observation, space: Any) -> dict[str, Any]:
+    """Convert an action to the package's format. ValueError for verbs other than CLICK and TYPE."""
     if action.verb not in (Verb.CLICK, Verb.TYPE):
-        raise ValueError(f"the benchmark's tasks need clicks and typing alone, got {action.verb.name}")
-    said: dict[str, Any] = space.sample()
-    said["ref"] = int(seen.page.ref[action.element])
-    said["action_type"] = CLICK_ELEMENT if action.verb is Verb.CLICK else FOCUS_AND_TYPE
-    said["text"] = action.text(seen.goal)
-    return said
+        raise ValueError(f"the expert's action is {action.verb.name}, wanted CLICK or TYPE")
+    converted: dict[str, Any] = space.sample()
+    converted["ref"] = int(observation.page.ref[action.element])
+    converted["action_type"] = CLICK_ELEMENT if action.verb is Verb.CLICK else FOCUS_AND_TYPE
+    converted["text"] = action.text(observation.goal)
+    return converted

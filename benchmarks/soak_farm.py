@@ -1,11 +1,11 @@
-"""Plays many episodes on many tasks while things break, and says what came of it.
+"""Soak test of the farm: many episodes on many tasks, with injected faults.
 
     python benchmarks/soak_farm.py [--episodes 24000] [--every 500] [--tabs 8] [--json FILE]
 
-Every so many episodes the next fault is made, in turn: a page that loops for ever, a crash, an alert, a page that
-leaves, a killed browser, a killed chromedriver, a browser that is stopped. It is healed when every tab has taken a step
-again. Rewards are compared with what the page itself holds, asked apart from the farm, on one episode in eight. Exit
-status 1 where an episode hangs, a reward is wrong, a fault heals late, or memory grows.
+After every 500 (--every) episodes one fault is injected, in turn: an infinite loop in a page, a crashed tab, an alert,
+a page that navigates away, a killed browser, a killed chromedriver, a stopped browser. The farm has recovered when
+every tab has made a step again. In one episode of eight the reward is compared with the page's own, read without the
+farm. Exit status 1 if a reward is wrong, a recovery is slow, or memory grows.
 """
 
 from __future__ import annotations
@@ -55,30 +55,31 @@ TASKS = (
     "search-engine",
     "social-media",
 )
-IN_A_ROW = 25  # episodes of one task in one tab
+EPISODES_PER_TASK = 25  # consecutive episodes of one task in one tab
 CHECK_ONE_IN = 8
 STEP_LIMIT = 30
 CALL_TIMEOUT_S = 1.5
-HEALED_S, FLAT = 5.0, 1.10  # what is demanded
+MAX_RECOVERY_S = 5.0
+MAX_MEMORY_GROWTH = 1.10  # ratio
 
 
 @dataclass(kw_only=True)
-class Place:
-    """What one tab is at."""
+class TabState:
+    """The episode of one tab, and the number of episodes it has ended."""
 
     episode: EpisodeSpec
-    seen: Observation | None = None
+    observation: Observation | None = None
     steps: int = 0
     ended: int = 0
 
 
 @dataclass(kw_only=True)
 class Soak:
-    """One run and its books."""
+    """One run: the state of every tab, and the results so far."""
 
     farm: ChromeFarm
     causes: Counter[str]
-    places: dict[int, Place] = field(default_factory=dict)
+    states: dict[int, TabState] = field(default_factory=dict)
     outcomes: Counter[str] = field(default_factory=Counter)
     checked: int = 0
     wrong: list[str] = field(default_factory=list)
@@ -89,13 +90,14 @@ class Soak:
         self._seeds = itertools.count(FIRST_SEED << 1)
         self._tasks = itertools.cycle(TASKS)
         for tab in range(self.farm.tabs):
-            self.places[tab] = Place(episode=EpisodeSpec(task=next(self._tasks), seed=next(self._seeds)))
+            self.states[tab] = TabState(episode=EpisodeSpec(task=next(self._tasks), seed=next(self._seeds)))
 
     def pids(self) -> set[int]:
+        """The processes of the browser and its driver."""
         return reaper.processes(Path(self.farm.chrome_directory))
 
-    def weigh(self) -> None:
-        """Note the resident memory of this process and everything it started."""
+    def record_memory(self) -> None:
+        """Record the resident memory of this process and of all its children."""
         total = 0
         for pid in {os.getpid(), *self.pids()}:
             try:
@@ -105,51 +107,51 @@ class Soak:
         self.rss_mb.append(total / 1e6)
 
     def step(self) -> int:
-        """One step of every tab; how many episodes ended."""
-        unopened = {tab: place.episode for tab, place in self.places.items() if place.seen is None}
+        """Make one step in every tab. Returns the number of episodes that ended."""
+        unopened = {tab: state.episode for tab, state in self.states.items() if state.observation is None}
         if unopened:
-            for tab, seen in self.farm.reset(unopened).items():
-                self.places[tab].seen, self.places[tab].steps = seen, 0
-        commands = {tab: self._command(place) for tab, place in self.places.items()}
+            for tab, observation in self.farm.reset(unopened).items():
+                self.states[tab].observation, self.states[tab].steps = observation, 0
+        commands = {tab: self._command(state) for tab, state in self.states.items()}
         ended = 0
         for tab, result in self.farm.step(commands).items():
-            place, command = self.places[tab], commands[tab]
+            state, command = self.states[tab], commands[tab]
             over = result.done or command.last or bool(result.lost)
             if over:
                 ended += 1
-                self._judge(tab, place, result.raw_reward, result.done, result.lost, checked=command.following is None)
-                place.ended += 1
-                place.episode = command.following or self._next(place)
-                place.steps = 0
-            place.seen = result.observation
+                self._check(tab, state, result.raw_reward, result.done, result.lost, checked=command.following is None)
+                state.ended += 1
+                state.episode = command.following or self._next_episode(state)
+                state.steps = 0
+            state.observation = result.observation
         return ended
 
-    def _command(self, place: Place) -> Command:
-        assert place.seen is not None
-        place.steps += 1
-        checks = place.ended % CHECK_ONE_IN == 0
-        following = None if checks else self._next(place)
-        action = expert(place.episode.task)(place.seen)
-        return Command.of(action, place.seen, last=place.steps >= STEP_LIMIT, following=following)
+    def _command(self, state: TabState) -> Command:
+        assert state.observation is not None
+        state.steps += 1
+        checks = state.ended % CHECK_ONE_IN == 0
+        following = None if checks else self._next_episode(state)
+        action = expert(state.episode.task)(state.observation)
+        return Command.of(action, state.observation, last=state.steps >= STEP_LIMIT, following=following)
 
-    def _next(self, place: Place) -> EpisodeSpec:
-        task = next(self._tasks) if place.ended % IN_A_ROW == IN_A_ROW - 1 else place.episode.task
+    def _next_episode(self, state: TabState) -> EpisodeSpec:
+        task = next(self._tasks) if state.ended % EPISODES_PER_TASK == EPISODES_PER_TASK - 1 else state.episode.task
         return EpisodeSpec(task=task, seed=next(self._seeds))
 
-    def _judge(self, tab: int, place: Place, reward: float, done: bool, lost: str, *, checked: bool) -> None:
+    def _check(self, tab: int, state: TabState, reward: float, done: bool, lost: str, *, checked: bool) -> None:
         self.outcomes[lost or ("step limit" if not done else "success" if reward == 1.0 else "failure")] += 1
-        if checked and done:  # nothing followed, so the page still shows how it ended
+        if checked and done:  # no episode follows in this tab, so the page still has the reward
             own = self.farm._tabs.evaluate({tab: "String(Number(WOB_RAW_REWARD_GLOBAL))"})[tab]
             self.checked += 1
             if own != str(reward) and (not isinstance(own, str) or float(own) != reward):
-                self.wrong.append(f"{place.episode}: {reward}, the page says {own}")
+                self.wrong.append(f"{state.episode}: the reward is {reward}, wanted the page's own {own}")
 
-    def break_something(self, kind: str, episodes: int) -> None:
-        """Make one fault, and go on until every tab steps again."""
+    def inject_fault(self, kind: str, episodes: int) -> None:
+        """Inject one fault, and step until every tab steps again. Appends the fault to `faults`."""
         before = Counter(self.causes)
         tab = episodes % self.farm.tabs
         tabs = self.farm._tabs
-        since = time.monotonic()
+        start = time.monotonic()
         if kind == "loop":
             tabs.evaluate({tab: "document.body.addEventListener('mousedown', () => { for (;;); }, {once: true}); ''"})
         elif kind == "crash":
@@ -162,11 +164,12 @@ class Soak:
             self._signal(kind)
         self.step()
         self.step()
-        seconds = time.monotonic() - since
-        told = dict(Counter(self.causes) - before)
-        self.faults.append({"kind": kind, "at_episode": episodes, "healed_s": round(seconds, 2), "told": told})
+        seconds = time.monotonic() - start
+        causes = dict(Counter(self.causes) - before)
+        self.faults.append({"kind": kind, "at_episode": episodes, "healed_s": round(seconds, 2), "told": causes})
 
     def _signal(self, kind: str) -> None:
+        """Kill or stop the browser or its driver."""
         for pid in self.pids():
             try:
                 driver = psutil.Process(pid).name().startswith("chromedriver")
@@ -180,28 +183,29 @@ FAULTS = ("loop", "crash", "alert", "leave", "kill browser", "kill chromedriver"
 
 
 def run(episodes: int, every: int, tabs: int) -> dict[str, Any]:
+    """Play `episodes` episodes with a fault after every `every` of them. Returns the JSON result."""
     causes: Counter[str] = Counter()
-    since = time.monotonic()
+    start = time.monotonic()
     with ChromeFarm(tabs=tabs, call_timeout_s=CALL_TIMEOUT_S, on_restart=lambda cause: causes.update([cause])) as farm:
         soak, ended, faults = Soak(farm=farm, causes=causes), 0, itertools.cycle(FAULTS)
         with Display().job("episodes", episodes) as job:
             while ended < episodes:
                 now = soak.step()
                 if (ended + now) // every > ended // every:
-                    soak.break_something(next(faults), ended + now)
+                    soak.inject_fault(next(faults), ended + now)
                 if (ended + now) // 250 > ended // 250:
-                    soak.weigh()
+                    soak.record_memory()
                 ended += now
                 job.advance(now, f"{len(soak.faults)} faults")
     half = soak.rss_mb[len(soak.rss_mb) // 2 :]
     third, fourth = half[: len(half) // 2], half[len(half) // 2 :]
     growth = statistics.mean(fourth) / statistics.mean(third) if third and fourth else 1.0
-    healed = max((fault["healed_s"] for fault in soak.faults), default=0.0)
+    slowest_s = max((fault["healed_s"] for fault in soak.faults), default=0.0)
     return {
         "episodes": ended,
         "tasks": len(TASKS),
         "tabs": tabs,
-        "seconds": round(time.monotonic() - since, 1),
+        "seconds": round(time.monotonic() - start, 1),
         "load": os.getloadavg(),
         "outcomes": dict(soak.outcomes),
         "restarts_by_cause": dict(causes),
@@ -209,9 +213,9 @@ def run(episodes: int, every: int, tabs: int) -> dict[str, Any]:
         "memory": {
             "rss_mb": [round(value, 1) for value in soak.rss_mb],
             "fourth_over_third_quarter": round(growth, 4),
-            "flat": growth <= FLAT,
+            "flat": growth <= MAX_MEMORY_GROWTH,
         },
-        "faults": {"slowest_healed_s": healed, "all_within_5_s": healed <= HEALED_S, "each": soak.faults},
+        "faults": {"slowest_healed_s": slowest_s, "all_within_5_s": slowest_s <= MAX_RECOVERY_S, "each": soak.faults},
     }
 
 
@@ -221,14 +225,14 @@ def main() -> int:
     parser.add_argument("--every", type=int, default=500)
     parser.add_argument("--tabs", type=int, default=8)
     parser.add_argument("--json", type=Path)
-    wanted = parser.parse_args()
-    found = run(wanted.episodes, wanted.every, wanted.tabs)
-    if wanted.json is not None:
-        with atomic_write(wanted.json) as file:
-            file.write(json.dumps(found, indent=2).encode() + b"\n")
-    summary = {name: found[name] for name in ("episodes", "seconds", "outcomes", "restarts_by_cause")}
-    print(json.dumps({**summary, "slowest_healed_s": found["faults"]["slowest_healed_s"]}))  # noqa: T201
-    good = not found["rewards"]["wrong"] and found["memory"]["flat"] and found["faults"]["all_within_5_s"]
+    arguments = parser.parse_args()
+    result = run(arguments.episodes, arguments.every, arguments.tabs)
+    if arguments.json is not None:
+        with atomic_write(arguments.json) as file:
+            file.write(json.dumps(result, indent=2).encode() + b"\n")
+    summary = {name: result[name] for name in ("episodes", "seconds", "outcomes", "restarts_by_cause")}
+    print(json.dumps({**summary, "slowest_healed_s": result["faults"]["slowest_healed_s"]}))  # noqa: T201
+    good = not result["rewards"]["wrong"] and result["memory"]["flat"] and result["faults"]["all_within_5_s"]
     return 0 if good else 1
 
 

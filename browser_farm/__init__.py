@@ -1,10 +1,63 @@
-"""Where pages come from: Chrome and its tabs, the MiniWoB tasks, human demonstrations, and a fake browser.
+"""Browsers for agents: MiniWoB++ tasks in headless Chrome, their Gymnasium environments, experts and recordings.
 
-Importing the package makes `giirl/MiniWoB-v0` known to Gymnasium and loads nothing else: Chrome, and what speaks with
-it, come with the first environment, or with the module that is wanted (`browser_farm.farm`, `browser_farm.fake`, ...).
+Importing the package registers `giirl/MiniWoB-v0` with Gymnasium. Chrome and its libraries are loaded when a name that
+needs them is first used. `FakeFarm` is a simulated browser for tests.
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING
+
 from gymnasium import register
+
+__all__ = [
+    "Action",
+    "Browser",
+    "ChromeFarm",
+    "Command",
+    "EpisodeSpec",
+    "FakeFarm",
+    "Goal",
+    "MiniWoB",
+    "MiniWoBVector",
+    "Observation",
+    "Page",
+    "StepResult",
+    "Verb",
+]
+
+# Where each public name is defined; its module is imported when the name is first used (PEP 562).
+_MODULES = {
+    "Action": "giirl_core.types",
+    "Browser": "giirl_core.types",
+    "ChromeFarm": "browser_farm.farm",
+    "Command": "giirl_core.types",
+    "EpisodeSpec": "giirl_core.types",
+    "FakeFarm": "browser_farm.fake",
+    "Goal": "giirl_core.types",
+    "MiniWoB": "browser_farm.gym.env",
+    "MiniWoBVector": "browser_farm.gym.vector_env",
+    "Observation": "giirl_core.types",
+    "Page": "giirl_core.types",
+    "StepResult": "giirl_core.types",
+    "Verb": "giirl_core.types",
+}
+
+if TYPE_CHECKING:
+    from browser_farm.fake import FakeFarm
+    from browser_farm.farm import ChromeFarm
+    from browser_farm.gym.env import MiniWoB
+    from browser_farm.gym.vector_env import MiniWoBVector
+    from giirl_core.types import Action, Browser, Command, EpisodeSpec, Goal, Observation, Page, StepResult, Verb
+else:
+
+    def __getattr__(name: str) -> object:
+        if name in _MODULES:
+            return getattr(import_module(_MODULES[name]), name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *__all__})
+
 
 register(
     id="giirl/MiniWoB-v0",

@@ -94,7 +94,7 @@ class View:
         names = (*self.first, *SCRIPTS)
         parts = [source(name) for name in names]
         parts.insert(names.index("frame"), f"const view = {self.reader};")
-        codes = json.dumps({**keys.NAMED, **keys.CODES})
+        codes = json.dumps({**keys.NAMED_KEYS, **keys.CHARACTER_CODES})
         head = f"(() => {{\nif ('giirlFrame' in window) return;\nconst KEY_CODES = {codes};\n"
         return head + "\n".join(parts) + "\n})();\n"
 

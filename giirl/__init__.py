@@ -1,1 +1,48 @@
-"""The shared vocabulary of GIIRL: values, configuration, wire, language, nets and the command."""
+"""GIIRL from Python and from the command line: train, evaluate, report and reproduce.
+
+`import giirl` loads none of its modules; torch and Ray are loaded when a name that needs them is first used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+__all__ = [
+    "Config",
+    "RunFolder",
+    "evaluate",
+    "load_config",
+    "load_policy",
+    "load_reward",
+    "read_episodes",
+    "train",
+    "write_episodes",
+]
+
+# Where each public name is defined; its module is imported when the name is first used (PEP 562).
+_MODULES = {
+    "Config": "giirl_core.config",
+    "RunFolder": "giirl.run.folder",
+    "evaluate": "giirl.run.api",
+    "load_config": "giirl_core.config_file",
+    "load_policy": "giirl.run.api",
+    "load_reward": "giirl.run.api",
+    "read_episodes": "giirl_core.wire.messages",
+    "train": "giirl.run.api",
+    "write_episodes": "giirl_core.wire.messages",
+}
+
+if TYPE_CHECKING:
+    from giirl.run.api import evaluate, load_policy, load_reward, train
+    from giirl.run.folder import RunFolder
+    from giirl_core.config import Config
+    from giirl_core.config_file import load_config
+    from giirl_core.wire.messages import read_episodes, write_episodes
+else:
+
+    def __getattr__(name: str) -> object:
+        if name in _MODULES:
+            return getattr(import_module(_MODULES[name]), name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *__all__})

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and folders that one process has to itself."""
+"""Atomic writes of files, and exclusive locks on folders."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from typing import BinaryIO
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[BinaryIO]:
-    """Write here, and `path` changes only once all of it is on the disk; an error leaves `path` as it was."""
+    """A binary file to write to; it replaces `path` atomically at the end of the block.
+
+    The data is synced to the disk before the rename. An exception in the block leaves `path` as it was.
+    """
     with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
         temporary = Path(file.name)
         try:
@@ -29,7 +32,7 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Put the names in a folder on the disk: a rename too has to survive a power cut."""
+    """Sync a folder to the disk, so that renames in it survive a power failure."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -39,13 +42,16 @@ def sync_folder(folder: Path) -> None:
 
 @contextmanager
 def folder_lock(folder: Path) -> Iterator[None]:
-    """This process has the folder to itself, however it ends; ValueError while another has it."""
+    """Lock a folder for this process; the operating system releases the lock when the process ends.
+
+    Raises ValueError when another process holds the lock.
+    """
     handle = os.open(folder, os.O_RDONLY)
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise ValueError(f"another process works in {folder}: wait for its end, or stop it") from None
+            raise ValueError(f"another process uses {folder}: wait until it ends, or stop it") from None
         yield
     finally:
         os.close(handle)

@@ -1,4 +1,4 @@
-"""Which goals training never sees, where a study asks what was learned about those."""
+"""Held-out goals: goals that training never sees, so that an evaluation can measure generalisation to them."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from giirl_core.types import Goal
 
 QUOTED = re.compile(r'"([^"]*)"')
 WORD = re.compile(r"\w+")
-DRAW = "unseen"  # by this one no word is held out that another instruction of the same study says outside quotes
-PARTS = 10_000
+SALT = "unseen"  # chosen so that no word is held out that another instruction of the same study has outside quotes
+BUCKETS = 10_000
 
 
-def is_held_out(goal: Goal, share: float) -> bool:
-    """True for about `share` of all goals, the same ones in every run.
+def is_held_out(goal: Goal, fraction: float) -> bool:
+    """True for about `fraction` of all goals, the same ones in every run.
 
-    What is quoted in an instruction is its goal: a button's label, a person to type, a link. Without quotes it is
-    the whole instruction. Its words count, not their case or the punctuation between.
+    The decision is a hash of the goal's quoted strings (a button's label, a name to type, a link); of the whole
+    utterance when nothing is quoted. Only the words matter, not their case nor the punctuation between them.
     """
-    names = QUOTED.findall(goal.utterance) or [goal.utterance]
-    words = WORD.findall(" ".join(names).lower())
-    return zlib.crc32(" ".join([DRAW, *words]).encode()) % PARTS < share * PARTS
+    quoted = QUOTED.findall(goal.utterance) or [goal.utterance]
+    words = WORD.findall(" ".join(quoted).lower())
+    return zlib.crc32(" ".join([SALT, *words]).encode()) % BUCKETS < fraction * BUCKETS

@@ -1,11 +1,11 @@
-"""Keys as pages name them: what may be pressed, and the codes that keyboard events carry."""
+"""Keyboard keys: their names in `KeyboardEvent.key`, their key codes, and the parsing of key combinations."""
 
 from __future__ import annotations
 
 import functools
 
-# The `key` of a KeyboardEvent, with the code that pages of MiniWoB's age still read.
-NAMED = {
+# Values of KeyboardEvent.key, with the deprecated `keyCode` that MiniWoB's pages still read.
+NAMED_KEYS = {
     "Backspace": 8,
     "Tab": 9,
     "Enter": 13,
@@ -28,7 +28,7 @@ NAMED = {
     **{f"F{number}": 111 + number for number in range(1, 13)},
 }
 MODIFIERS = {"Alt": 1, "Control": 2, "Meta": 4, "Shift": 8}  # bits as in Chrome's Input domain
-# Characters of a US keyboard beside letters and digits, by the code of the key that gives them.
+# The other characters of a US keyboard (unshifted and shifted), with the code of their key.
 PUNCTUATION = {
     ";:": 186,
     "=+": 187,
@@ -43,7 +43,7 @@ PUNCTUATION = {
     "'\"": 222,
 }
 SHIFTED_DIGITS = ")!@#$%^&*("
-CODES = {
+CHARACTER_CODES = {
     " ": 32,
     **{character: code for pair, code in PUNCTUATION.items() for character in pair},
     **{character: ord("0") + digit for digit, character in enumerate(SHIFTED_DIGITS)},
@@ -51,21 +51,24 @@ CODES = {
 
 
 @functools.lru_cache(maxsize=1024)
-def chord(keys: str) -> tuple[int, str]:
-    """The modifiers (bits) and the key of "Enter", "a", "Control+Shift+ArrowLeft"; ValueError for what is none."""
-    before, plus, key = keys[:-1].rpartition("+")  # the last character is no separator: it may be a plus itself
-    held, key = set(before.split("+")) if plus else set(), key + keys[-1:]
-    if not (key in NAMED or len(key) == 1) or not held <= MODIFIERS.keys():
+def parse_chord(keys: str) -> tuple[int, str]:
+    """The modifiers (bits of MODIFIERS) and the key of a combination like "Enter", "a", "Control+Shift+ArrowLeft".
+
+    Raises ValueError when `keys` is not such a combination.
+    """
+    prefix, plus, key = keys[:-1].rpartition("+")  # the last character is not a separator: it may be the key "+"
+    modifiers, key = set(prefix.split("+")) if plus else set(), key + keys[-1:]
+    if not (key in NAMED_KEYS or len(key) == 1) or not modifiers <= MODIFIERS.keys():
         raise ValueError(
-            f"{keys!r} is no key: wanted one character or one of {', '.join(NAMED)}, "
-            f"after any of {', '.join(MODIFIERS)} and a plus, as in Control+c"
+            f"{keys!r} is not a key: wanted one character or one of {', '.join(NAMED_KEYS)}, "
+            f"optionally after {', '.join(MODIFIERS)} and a plus, as in Control+c"
         )
-    return sum(MODIFIERS[name] for name in held), key
+    return sum(MODIFIERS[name] for name in modifiers), key
 
 
 def key_code(key: str) -> int:
-    """The code of a key of a US keyboard; 0 where it has none."""
-    if key in NAMED:
-        return NAMED[key]
+    """The `keyCode` of a key on a US keyboard; 0 when it has none."""
+    if key in NAMED_KEYS:
+        return NAMED_KEYS[key]
     upper = key.upper()
-    return ord(upper) if upper.isascii() and upper.isalnum() else CODES.get(key, 0)
+    return ord(upper) if upper.isascii() and upper.isalnum() else CHARACTER_CODES.get(key, 0)

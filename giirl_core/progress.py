@@ -1,4 +1,4 @@
-"""A live line on a terminal, a line every few seconds in a log: long work never looks like a hang."""
+"""Progress of long work: a progress bar on a terminal, a line every few seconds in a log file."""
 
 from __future__ import annotations
 
@@ -18,57 +18,57 @@ from rich.progress import (
 )
 from rich.table import Table
 
-LOG_EVERY_S = 10.0
+LOG_INTERVAL_S = 10.0
 
 
 class Job:
-    """One piece of long work under way."""
+    """Work in progress: `done` of `total` units; with a progress bar if `bar` is given, else with log lines."""
 
-    def __init__(self, what: str, total: int, done: int, console: Console, bar: Progress | None) -> None:
-        self._what, self._total, self._done, self._console, self._bar = what, total, done, console, bar
-        self._said_s = time.monotonic()
-        self._id = bar.add_task(what, total=total, completed=done, note="") if bar else None
+    def __init__(self, title: str, total: int, done: int, console: Console, bar: Progress | None) -> None:
+        self._title, self._total, self._done, self._console, self._bar = title, total, done, console, bar
+        self._logged_s = time.monotonic()
+        self._task_id = bar.add_task(title, total=total, completed=done, note="") if bar else None
 
     def advance(self, count: int = 1, note: str = "") -> None:
-        """Say that `count` more are done; `note` stands beside it."""
+        """Report `count` more finished units; `note` is shown next to the progress."""
         self._done += count
-        if self._bar is not None and self._id is not None:
-            self._bar.update(self._id, completed=self._done, note=note)
-        elif time.monotonic() - self._said_s >= LOG_EVERY_S or self._done >= self._total > self._done - count:
-            self._said_s = time.monotonic()
+        if self._bar is not None and self._task_id is not None:
+            self._bar.update(self._task_id, completed=self._done, note=note)
+        elif time.monotonic() - self._logged_s >= LOG_INTERVAL_S or self._done >= self._total > self._done - count:
+            self._logged_s = time.monotonic()
             self._console.print(
-                f"{self._what} {self._done}/{self._total}  {note}", highlight=False, markup=False, soft_wrap=True
+                f"{self._title} {self._done}/{self._total}  {note}", highlight=False, markup=False, soft_wrap=True
             )
 
 
 class Display:
-    """Progress goes to standard error, tables of results to standard output."""
+    """The output of a command: messages and progress to standard error, tables of results to standard output."""
 
     def __init__(self) -> None:
         self.console = Console(stderr=True)
         self._results = Console()
 
     def say(self, text: str) -> None:
-        """A line that stays."""
+        """Print a line that stays on the terminal."""
         self.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def table(self, table: Table) -> None:
-        """A result."""
+        """Print a table of results."""
         self._results.print(table)
 
     @contextmanager
-    def busy(self, what: str) -> Iterator[None]:
-        """Show that something is going on whose length nobody knows."""
-        self.say(what)
-        with self.console.status(what) if self.console.is_terminal else nullcontext():
+    def busy(self, title: str) -> Iterator[None]:
+        """Show a spinner while the block runs, for work of unknown length."""
+        self.say(title)
+        with self.console.status(title) if self.console.is_terminal else nullcontext():
             yield
 
     @contextmanager
-    def job(self, what: str, total: int, done: int = 0) -> Iterator[Job]:
-        """Show progress while the block lasts."""
+    def job(self, title: str, total: int, done: int = 0) -> Iterator[Job]:
+        """Show the progress of `total` units while the block runs; `done` of them are finished already."""
         if not self.console.is_terminal:
-            self.say(f"{what} ...")
-            yield Job(what, total, done, self.console, None)
+            self.say(f"{title} ...")
+            yield Job(title, total, done, self.console, None)
             return
         columns = (
             SpinnerColumn(),
@@ -80,4 +80,4 @@ class Display:
             TextColumn("{task.fields[note]}", markup=False),
         )
         with Progress(*columns, console=self.console) as bar:
-            yield Job(what, total, done, self.console, bar)
+            yield Job(title, total, done, self.console, bar)

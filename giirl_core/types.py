@@ -1,4 +1,4 @@
-"""The values that every part of the system speaks in: pages, goals, actions, trajectories, weights."""
+"""The value types that all packages share: episodes, pages, observations, commands, trajectories, weights."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from giirl_core.actions import LEARNED, NO_ELEMENT, NO_SPAN, TOKEN, USES, Action, Goal, Verb
+from giirl_core.actions import LEARNABLE_VERBS, NO_ELEMENT, NO_SPAN, TOKEN, VERB_FIELDS, Action, Goal, Verb
 
 __all__ = [
     "DEMONSTRATION",
-    "LEARNED",
+    "LEARNABLE_VERBS",
     "NO_ELEMENT",
     "NO_REF",
     "NO_SPAN",
     "TOKEN",
     "TYPABLE_TAGS",
     "UNSCORED",
-    "USES",
+    "VERB_FIELDS",
     "Action",
     "Browser",
     "Command",
@@ -36,43 +36,33 @@ __all__ = [
     "SampledActions",
     "StepResult",
     "Trajectory",
-    "TrajectorySource",
     "Verb",
     "Weights",
     "page_seed",
 ]
 
-TYPABLE_TAGS = frozenset(
-    {
-        "input_text",
-        "input_password",
-        "input_email",
-        "input_search",
-        "input_number",
-        "input_date",
-        "input_time",
-        "textarea",
-    }
-)
-NO_REF = 0  # Command.ref, .to: none of the page's elements
-UNSCORED = -1
-DEMONSTRATION = -1
+_TEXT_INPUTS = ("text", "password", "email", "search", "number", "date", "time")
+TYPABLE_TAGS = frozenset({"textarea", *(f"input_{kind}" for kind in _TEXT_INPUTS)})
+NO_REF = 0  # Command.ref, .to: no element
+UNSCORED = -1  # Trajectory.reward_version: not scored yet
+DEMONSTRATION = -1  # Trajectory.policy_version: recorded from a demonstrator, not from a policy
 
 
 class Purpose(IntEnum):
-    """What an episode is for. Every purpose has seeds of its own, so none can meet another's page."""
+    """What an episode is played for. Each purpose has its own range of page seeds, so purposes share no pages."""
 
     TRAIN = 1
     DEMONSTRATE = 2
     EVALUATE = 3
     INSPECT = 4
-    FLOOR = 5
+    RANDOM = 5
 
 
 def page_seed(purpose: Purpose, run_seed: int, index: int) -> int:
-    """The seed of the index-th page of one run and purpose; below 2**53, so JavaScript keeps it exact.
+    """The seed of the index-th page of a run for a purpose; below 2**53, so that JavaScript represents it exactly.
 
-    Distinct (purpose, run_seed, index) give distinct seeds: 4 bits, 16 bits and 32 bits.
+    Distinct (purpose, run_seed, index) give distinct seeds: they take 4, 16 and 32 bits. Raises ValueError when
+    `run_seed` or `index` does not fit.
     """
     if not 0 <= run_seed < 1 << 16:
         raise ValueError(f"run seed {run_seed} is out of range: wanted 0 to {(1 << 16) - 1}")
@@ -83,32 +73,35 @@ def page_seed(purpose: Purpose, run_seed: int, index: int) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeSpec:
-    """Which page to open: a task and the seed that fixes its instruction and its DOM."""
+    """Which page to open: a task, and the seed that determines its instruction and its DOM."""
 
     task: str
     seed: int
-    mode: str = "train"  # or "test": a few tasks keep some of their instructions for it
+    mode: str = "train"  # or "test": a few MiniWoB tasks reserve some instructions for it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Page:
-    """What a page shows at one moment: a table with one row for each visible element, in document order."""
+    """The visible elements of a page at one moment: a table of E rows, one for each element, in document order.
+
+    Raises ValueError when the columns have different lengths or a parent does not precede its child.
+    """
 
     tag: tuple[str, ...]  # [E] lower case; inputs as "input_text"; "t" is a run of bare text
-    text: tuple[str, ...]  # [E] text of a leaf, "" elsewhere
-    value: tuple[str, ...]  # [E] what a field holds, "" elsewhere
+    text: tuple[str, ...]  # [E] text of a leaf, "" for other elements
+    value: tuple[str, ...]  # [E] value of a form field, "" for other elements
     classes: tuple[str, ...]  # [E] space-separated
-    ref: NDArray[np.int32]  # [E] the browser's handle on the element
+    ref: NDArray[np.int32]  # [E] the browser's handle of the element
     parent: NDArray[np.int16]  # [E] row of the parent, -1 for a root
     box: NDArray[np.float32]  # [E, 4] left, top, width, height in CSS px
     focused: NDArray[np.bool_]  # [E]
-    tampered: NDArray[np.bool_]  # [E] acted upon in this episode
-    colour: tuple[str, ...] = ()  # [E] what a drawing is filled with, or an element's own style; "" elsewhere
-    shape: tuple[str, ...] = ()  # [E] kind of a drawing and its corners in px, "triangle 10,40 20,20 30,40"
+    tampered: NDArray[np.bool_]  # [E] acted on earlier in this episode
+    colour: tuple[str, ...] = ()  # [E] fill colour of an SVG shape, or colour in an element's own style; else ""
+    shape: tuple[str, ...] = ()  # [E] kind of an SVG shape and its corners in px, "triangle 10,40 20,20 30,40"; else ""
 
     def __post_init__(self) -> None:
         rows = len(self.tag)
-        for name in ("colour", "shape"):  # most pages draw nothing: () stands for a column of ""
+        for name in ("colour", "shape"):  # most pages have no shapes: () stands for a column of ""
             object.__setattr__(self, name, getattr(self, name) or ("",) * rows)
         for name in ("text", "value", "classes", "ref", "parent", "box", "focused", "tampered", "colour", "shape"):
             if len(getattr(self, name)) != rows:
@@ -116,35 +109,35 @@ class Page:
         if self.box.shape != (rows, 4):
             raise ValueError(f"Page.box has shape {self.box.shape}, wanted {(rows, 4)}")
         if not bool(np.all((self.parent >= -1) & (self.parent < np.arange(rows)))):
-            raise ValueError("Page.parent names a row that is not before its child; wanted document order, or -1")
+            raise ValueError("Page.parent has a row that is not before its child, wanted document order, or -1")
 
     def __len__(self) -> int:
         return len(self.tag)
 
     @property
     def leaf(self) -> NDArray[np.bool_]:
-        """[E] True where no other row is a child: what may be clicked."""
+        """[E] True for elements without children: those that can be clicked."""
         leaf = np.ones(len(self.tag), dtype=np.bool_)
         leaf[self.parent[self.parent >= 0]] = False
         return leaf
 
-    def below(self, row: int) -> list[int]:
-        """Every row that is part of this one, in document order."""
-        inside = {row}
+    def descendants(self, row: int) -> list[int]:
+        """The rows of all descendants of an element, in document order."""
+        found = {row}
         for later in range(row + 1, len(self.tag)):
-            if int(self.parent[later]) in inside:
-                inside.add(later)
-        return sorted(inside - {row})
+            if int(self.parent[later]) in found:
+                found.add(later)
+        return sorted(found - {row})
 
     @property
     def typable(self) -> NDArray[np.bool_]:
-        """[E] True for fields that take text."""
+        """[E] True for text fields."""
         return np.array([tag in TYPABLE_TAGS for tag in self.tag], dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observation:
-    """A page and the instruction that came with it."""
+    """What the policy observes: a page and the goal of the episode."""
 
     episode: EpisodeSpec
     page: Page
@@ -153,27 +146,30 @@ class Observation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Command:
-    """One step of one tab: act, then go on to another episode when this one is over. Fields as in Action."""
+    """One step of one browser tab: an action, and the episode to open when this one ends.
+
+    The fields of the action are those of `Action`, with browser handles (`Page.ref`) in place of rows.
+    """
 
     verb: Verb
     ref: int = NO_REF  # Page.ref of the element, 0 for none
-    text: str = ""  # what to type, or the key to press
+    text: str = ""  # the text to type, or the key to press
     at: tuple[float, float] = (0.0, 0.0)  # CSS px
     by: tuple[float, float] = (0.0, 0.0)  # CSS px
-    to: int = NO_REF  # Page.ref of where a DRAG ends
-    last: bool = False  # the step limit: end the episode even if the page does not
-    following: EpisodeSpec | None = None  # what to open next; None leaves the tab idle
+    to: int = NO_REF  # Page.ref of the element where a DRAG ends
+    last: bool = False  # step limit reached: end the episode even if the page does not
+    following: EpisodeSpec | None = None  # the next episode of the tab; None leaves it idle
 
     @classmethod
     def of(
-        cls, action: Action, seen: Observation, *, last: bool = False, following: EpisodeSpec | None = None
+        cls, action: Action, observation: Observation, *, last: bool = False, following: EpisodeSpec | None = None
     ) -> Command:
-        """An action on what was seen, in the browser's words."""
-        refs = seen.page.ref
+        """The command that carries out `action` on the observed page."""
+        refs = observation.page.ref
         return cls(
             verb=action.verb,
             ref=int(refs[action.element]) if action.element >= 0 else NO_REF,
-            text=action.text(seen.goal),
+            text=action.text(observation.goal),
             at=action.at,
             by=action.by,
             to=int(refs[action.to]) if action.to >= 0 else NO_REF,
@@ -184,17 +180,28 @@ class Command:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepResult:
-    """What came of a command. When `done`, `lost` or the command's `last`, the observation is the next episode's."""
+    """The result of one command.
 
-    raw_reward: float  # the page's own, not scaled by time; 0 while it runs
+    When the episode ended (`done`, `lost`, or `last` in the command), the observation is the next episode's first.
+    """
+
+    raw_reward: float  # the page's reward, not scaled by time; 0 until the episode ends
     done: bool  # the page ended the episode
-    observation: Observation | None  # None only where no episode follows
-    lost: str = ""  # why the episode broke off through no doing of the policy, "" if it did not
-    reason: str = ""  # for the reward, where the page gives one
+    observation: Observation | None  # None only when no episode follows
+    lost: str = ""  # why the infrastructure aborted the episode, "" when it did not
+    reason: str = ""  # the page's explanation of the reward, "" when it gives none
 
 
 class Browser(Protocol):
-    """K tabs, each showing one episode at a time. `reset` opens, `step` acts; both answer for many tabs at once."""
+    """K browser tabs, each with one episode at a time. `reset` opens episodes and `step` acts, in many tabs at once.
+
+    Keys are tab numbers from 0 to `tabs` - 1. The loop of an actor:
+
+        seen = browser.reset({tab: next_episode() for tab in range(browser.tabs)})
+        while True:
+            commands = {tab: Command.of(act(o), o, following=next_episode()) for tab, o in seen.items()}
+            seen = {tab: result.observation for tab, result in browser.step(commands).items()}
+    """
 
     tabs: int
 
@@ -227,13 +234,17 @@ class SampledActions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trajectory:
-    """What the learner trains on: states, actions and goal of one episode. It does not know whether it succeeded."""
+    """One episode of T steps as the learner sees it: goal, states, actions, rewards; not whether it succeeded.
+
+    Demonstrations are trajectories too. Raises ValueError when the columns have different lengths, or an action
+    refers to an element or a token that does not exist.
+    """
 
     task: str
     goal: Goal
     seed: int
-    pages: tuple[Page, ...]  # [T] what the policy saw
-    actions: tuple[Action, ...]  # [T] what it did
+    pages: tuple[Page, ...]  # [T] states
+    actions: tuple[Action, ...]  # [T]
     behaviour_logp: NDArray[np.float32]  # [T] nats, log mu(a_t | s_t, g) when the action was taken
     rewards: NDArray[np.float32]  # [T] r(s_t, a_t | g) of reward_version; zeros while unscored
     policy_version: int  # oldest learner step that produced mu; -1 marks a demonstration
@@ -243,7 +254,7 @@ class Trajectory:
     def __post_init__(self) -> None:
         steps = len(self.pages)
         if steps == 0:
-            raise ValueError("a trajectory needs at least one step")
+            raise ValueError("Trajectory.pages is empty, wanted at least one step")
         for name in ("actions", "behaviour_logp", "rewards"):
             if len(getattr(self, name)) != steps:
                 raise ValueError(f"Trajectory.{name} has {len(getattr(self, name))} steps, .pages has {steps}")
@@ -251,24 +262,22 @@ class Trajectory:
             _check_sampled(self.sampled, self.pages, self.goal)
         for t, (page, action) in enumerate(zip(self.pages, self.actions, strict=True)):
             if max(action.element, action.to) >= len(page):
-                raise ValueError(
-                    f"step {t} acts on element {max(action.element, action.to)} of a page with {len(page)}"
-                )
+                raise ValueError(f"step {t} acts on element {max(action.element, action.to)}, its page has {len(page)}")
             if action.end >= len(self.goal.tokens):
                 raise ValueError(
-                    f"step {t} copies words {action.start}..{action.end} of a goal with {len(self.goal.tokens)}"
+                    f"step {t} types tokens {action.start}..{action.end}, the goal has {len(self.goal.tokens)}"
                 )
 
     def __len__(self) -> int:
         return len(self.pages)
 
-    def check_learned(self) -> None:
-        """ValueError when a step is more than the nets can express."""
+    def check_learnable(self) -> None:
+        """Raise ValueError when an action is outside the action space of the nets (`Action.learnable`)."""
         for t, action in enumerate(self.actions):
-            if not action.learned:
+            if not action.learnable:
                 raise ValueError(
-                    f"{self.task} with seed {self.seed}, step {t} is {action.verb.name} {action.literal!r:.40} on row "
-                    f"{action.element}: the nets learn only clicks on rows and typing words of the goal"
+                    f"{self.task} with seed {self.seed}, step {t} is {action.verb.name} {action.literal!r:.40} on "
+                    f"element {action.element}: the nets only click elements and type words of the goal"
                 )
 
 
@@ -293,20 +302,20 @@ def _check_sampled(sampled: SampledActions, pages: Sequence[Page], goal: Goal) -
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """How an episode ended by the page's own reckoning: for reports, never for training."""
+    """The environment's verdict on an episode: for reports, never for training."""
 
     raw_reward: float
-    ended: bool  # False when our step limit cut it off
+    ended: bool  # False when the step limit truncated the episode
 
     @property
     def success(self) -> bool:
-        """Nothing less than full reward counts (some pages give partial credit)."""
+        """True only for the full reward: some pages give partial credit."""
         return self.raw_reward == 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Episode:
-    """One finished episode: what to learn from, and what to report."""
+    """One finished episode: the trajectory to learn from, and the outcome to report."""
 
     trajectory: Trajectory
     outcome: Outcome
@@ -314,7 +323,7 @@ class Episode:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Weights:
-    """A net's parameters at one learner step, as safetensors bytes with their checksum."""
+    """The parameters of a net at one learner step, as safetensors bytes with a checksum."""
 
     version: int  # learner step
     blob: bytes
@@ -322,18 +331,13 @@ class Weights:
 
     @classmethod
     def seal(cls, version: int, blob: bytes) -> Weights:
+        """Weights with the checksum of `blob`."""
         return cls(version=version, blob=blob, digest=hashlib.sha256(blob).hexdigest())
 
     def check(self) -> None:
-        """Raise ValueError when the blob is not the one that was sealed."""
+        """Raise ValueError when the checksum does not match the blob."""
         found = hashlib.sha256(self.blob).hexdigest()
         if found != self.digest:
             raise ValueError(
                 f"weights version {self.version} are corrupt: sha256 {found[:12]}, wanted {self.digest[:12]}"
             )
-
-
-class TrajectorySource(Protocol):
-    """Where Algorithm 1 gets its rollouts from."""
-
-    def take(self, episodes: int) -> list[Trajectory]: ...

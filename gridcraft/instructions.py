@@ -1,4 +1,4 @@
-"""What LanguageGridCraft is asked in English: a colour to go to and one to avoid, in many words and orders."""
+"""The English instructions of LanguageGridCraft: which colour to go to and which to avoid, in many wordings."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import numpy as np
 
 from gridcraft.layouts import COLOURS, colour_number
 
-# No word names two colours. The first of each is the plain one.
+# No word names two colours. The first word of each colour is used in plain sentences.
 SYNONYMS = {
     "red": ("red", "crimson", "scarlet", "ruby"),
     "green": ("green", "emerald", "lime", "jade"),
     "blue": ("blue", "azure", "navy", "sapphire"),
     "yellow": ("yellow", "gold", "amber", "lemon"),
 }
-PLAIN = "Go to {Goal}. Avoid {Avoid}."
-FORMS = (
-    PLAIN,
+PLAIN_TEMPLATE = "Go to {Goal}. Avoid {Avoid}."
+TEMPLATES = (
+    PLAIN_TEMPLATE,
     "Avoid {Avoid}. Go to {Goal}.",
     "Go to {goal} and avoid {avoid}.",
     "Avoid {avoid} and go to {goal}.",
@@ -37,7 +37,7 @@ FORMS = (
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """What an instruction means: the colour to go to and the colour to avoid."""
+    """The meaning of an instruction: a colour to go to and a different colour to avoid."""
 
     goal: str
     avoid: str
@@ -46,32 +46,32 @@ class Pair:
         for colour in (self.goal, self.avoid):
             colour_number(colour)
         if self.goal == self.avoid:
-            raise ValueError(f"a pair got {self.goal!r} as goal and as what to avoid: wanted two colours")
+            raise ValueError(f"a pair got {self.goal!r} as both goal and avoid: wanted two colours")
 
 
 def ordered_pairs(colours: tuple[str, ...] = COLOURS) -> tuple[Pair, ...]:
-    """Every pair of two of these colours, both ways round."""
+    """Every ordered pair of two different colours."""
     return tuple(Pair(goal, avoid) for goal, avoid in itertools.permutations(colours, 2))
 
 
 def plain_sentence(pair: Pair) -> str:
-    """The thesis's own form, "Go to Red. Avoid Blue."."""
-    return _fill(PLAIN, pair.goal, pair.avoid)
+    """The pair in the thesis's wording, "Go to Red. Avoid Blue."."""
+    return _fill(PLAIN_TEMPLATE, pair.goal, pair.avoid)
 
 
 def sentences(pair: Pair) -> tuple[str, ...]:
-    """Everything that says this pair, the plain sentence first."""
-    words = itertools.product(FORMS, SYNONYMS[pair.goal], SYNONYMS[pair.avoid])
-    return tuple(_fill(form, goal, avoid) for form, goal, avoid in words)
+    """Every sentence with this meaning, the plain sentence first."""
+    words = itertools.product(TEMPLATES, SYNONYMS[pair.goal], SYNONYMS[pair.avoid])
+    return tuple(_fill(template, goal, avoid) for template, goal, avoid in words)
 
 
-def draw_sentence(pair: Pair, rng: np.random.Generator) -> str:
-    """One of the sentences that say this pair, all alike likely."""
+def sample_sentence(pair: Pair, rng: np.random.Generator) -> str:
+    """A sentence with this meaning, sampled uniformly from `sentences`."""
     return str(rng.choice(sentences(pair)))
 
 
-def rename(sentence: str, names: Mapping[str, str]) -> str:
-    """The sentence with each word for a colour exchanged for a word for the colour that `names` gives."""
+def rename_colours(sentence: str, names: Mapping[str, str]) -> str:
+    """Replace each colour word by the matching word for the colour that `names` maps it to."""
     words = {old: new for a, b in names.items() for old, new in zip(SYNONYMS[a], SYNONYMS[b], strict=True)}
 
     def exchange(match: re.Match[str]) -> str:
@@ -82,5 +82,5 @@ def rename(sentence: str, names: Mapping[str, str]) -> str:
     return re.sub(r"[A-Za-z]+", exchange, sentence)
 
 
-def _fill(form: str, goal: str, avoid: str) -> str:
-    return form.format(goal=goal, avoid=avoid, Goal=goal.capitalize(), Avoid=avoid.capitalize())
+def _fill(template: str, goal: str, avoid: str) -> str:
+    return template.format(goal=goal, avoid=avoid, Goal=goal.capitalize(), Avoid=avoid.capitalize())

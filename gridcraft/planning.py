@@ -1,4 +1,4 @@
-"""What is exactly so in LanguageGridCraft: optimal policies, their returns, and demonstrations drawn from them."""
+"""Exact planning in LanguageGridCraft: value iteration, expected returns, occupancy, and sampled trajectories."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from gridcraft.world import ACTIONS, DISCOUNT, HORIZON, World, expected_value, s
 
 Array = NDArray[np.float64]
 
-TOLERANCE = 1e-12  # of the largest value: what value iteration may leave undone
-TIE = 1e-9  # of the largest |Q|: actions nearer than this to the best are as good, and share its probability
+TOLERANCE = 1e-12  # remaining error of value iteration, relative to the largest value
+TIE = 1e-9  # actions within this fraction of max |Q| of the best one are optimal too and share its probability
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solution:
-    """The optimum for one reward: stationary, or with a leading axis of T where the time left matters."""
+    """The optimum for one reward: stationary, or for a finite horizon with a leading time axis T."""
 
     q: Array  # [(T,) S, A]
     v: Array  # [(T,) S]
@@ -26,26 +26,29 @@ class Solution:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Paths:
+class Trajectories:
     """N episodes of T steps."""
 
-    states: NDArray[np.int64]  # [N, T + 1] where each action was taken, and where the last one led
+    states: NDArray[np.int64]  # [N, T + 1] the state of each action, then the final state
     actions: NDArray[np.int64]  # [N, T]
 
 
 def expected_reward(world: World, reward: Array) -> Array:
-    """[S, A] from r [S, A] or r [S, A, S'], the latter averaged over where the action leads."""
+    """[S, A] from r [S, A] or r [S, A, S'], averaged over the next state. ValueError for other shapes or values."""
     shape = (len(world), len(ACTIONS))
     if reward.shape not in (shape, (*shape, len(world))):
         raise ValueError(f"a reward table has shape {reward.shape}, wanted {shape} or {(*shape, len(world))}")
     if not np.isfinite(reward).all():
         raise ValueError("a reward table holds values that are not finite")
-    wide = reward.astype(np.float64)
-    return wide if wide.ndim == 2 else np.einsum("sat,sat->sa", transitions(world), wide)
+    r = reward.astype(np.float64)
+    return r if r.ndim == 2 else np.einsum("sat,sat->sa", transitions(world), r)
 
 
 def soft_backup(q: Array, temperature: float) -> tuple[Array, Array]:
-    """v [S] and pi [S, A] of Q [S, A]: T log sum exp(Q / T) and its softmax, or at 0 the best actions alike."""
+    """v [S] and pi [S, A] from Q [S, A] at temperature tau: v = tau log sum_a exp(Q / tau), pi = softmax(Q / tau).
+
+    At tau = 0: v = max_a Q, and pi is uniform over the optimal actions.
+    """
     best = q.max(axis=1, keepdims=True)
     if temperature == 0.0:
         optimal = (q >= best - TIE * np.abs(q).max()).astype(np.float64)
@@ -56,13 +59,13 @@ def soft_backup(q: Array, temperature: float) -> tuple[Array, Array]:
 
 
 def solve(world: World, reward: Array, *, temperature: float = 0.0, discount: float = DISCOUNT) -> Solution:
-    """(Soft) value iteration without end: the stationary optimum of r [S, A] or [S, A, S'].
+    """(Soft) value iteration with an infinite horizon: the stationary optimum for r [S, A] or [S, A, S'].
 
-    Maximises the discounted sum of r plus, above temperature 0, temperature times the policy's entropy. Each
-    sweep shrinks the error by the discount, so their number is known beforehand.
+    Maximises the discounted sum of r + temperature * entropy of pi. Every sweep multiplies the error by the discount,
+    so the number of sweeps is fixed in advance. ValueError for a discount outside [0, 1) or a negative temperature.
     """
     if not 0.0 <= discount < 1.0:
-        raise ValueError(f"the discount is {discount}, wanted 0 up to but not 1: the sum has no end")
+        raise ValueError(f"the discount is {discount}, wanted at least 0 and below 1: the horizon is infinite")
     _check_temperature(temperature)
     r = expected_reward(world, reward)
     v = np.zeros(len(world))
@@ -76,7 +79,7 @@ def solve(world: World, reward: Array, *, temperature: float = 0.0, discount: fl
 def solve_horizon(
     world: World, reward: Array, *, temperature: float = 0.0, discount: float = 1.0, horizon: int = HORIZON
 ) -> Solution:
-    """The same over `horizon` steps, backwards from the end; index t of the result has horizon - t steps to go."""
+    """(Soft) value iteration over `horizon` steps, by backward induction; index t has horizon - t steps left."""
     _check_temperature(temperature)
     r = expected_reward(world, reward)
     q = np.zeros((horizon, *r.shape))
@@ -89,30 +92,30 @@ def solve_horizon(
 
 
 def random_policy(world: World) -> Array:
-    """[S, A] every action alike."""
+    """[S, A] the uniform random policy."""
     return np.full((len(world), len(ACTIONS)), 1.0 / len(ACTIONS))
 
 
 def occupancy(world: World, pi: Array, horizon: int = HORIZON) -> Array:
-    """[T, S] probability that pi [S, A] or [T, S, A] stands in s when it takes its t-th action."""
-    steps = per_step(world, pi, horizon)
-    at = np.zeros((horizon, len(world)))
+    """[T, S] probability that an agent following pi [S, A] or [T, S, A] is in s when it takes action t."""
+    steps = policy_per_step(world, pi, horizon)
+    visits = np.zeros((horizon, len(world)))
     now = world.start
     for t in range(horizon):
-        at[t] = now
-        now = flow(world, now, steps[t])
-    return at
+        visits[t] = now
+        now = next_distribution(world, now, steps[t])
+    return visits
 
 
-def flow(world: World, at: Array, pi: Array) -> Array:
-    """[S] where the probability mass at [S] goes in one step of pi [S, A]."""
+def next_distribution(world: World, now: Array, pi: Array) -> Array:
+    """[S] the probability mass per state after one step of pi [S, A] from the probability mass `now` [S]."""
     acted = (1.0 - world.slip) * pi + world.slip / len(ACTIONS)
-    mass = (at[:, None] * acted).ravel()
+    mass = (now[:, None] * acted).ravel()
     return np.bincount(world.next_state.ravel(), weights=mass, minlength=len(world)).astype(np.float64)
 
 
-def steps_to(world: World, target: NDArray[np.bool_]) -> Array:
-    """[S] the fewest steps to one of the cells marked [S], were there no slips; inf where there is no way."""
+def distance_to(world: World, target: NDArray[np.bool_]) -> Array:
+    """[S] the number of steps to the nearest cell of `target` [S] without slips; inf where none is reachable."""
     distance = np.where(target, 0.0, np.inf)
     while (nearer := np.minimum(distance, distance[world.next_state].min(axis=1) + 1.0)).tolist() != distance.tolist():
         distance = nearer
@@ -120,23 +123,23 @@ def steps_to(world: World, target: NDArray[np.bool_]) -> Array:
 
 
 def expected_return(world: World, pi: Array, reward: Array, *, horizon: int = HORIZON, discount: float = 1.0) -> float:
-    """The mean return of pi [S, A] or [T, S, A] from the start distribution, without sampling."""
-    steps = per_step(world, pi, horizon)
+    """The expected return of pi [S, A] or [T, S, A] from the start distribution, computed exactly."""
+    steps = policy_per_step(world, pi, horizon)
     per_state = (steps * expected_reward(world, reward)).sum(axis=2)
     earned = (occupancy(world, pi, horizon) * per_state).sum(axis=1)
     return float(earned @ discount ** np.arange(horizon))
 
 
 def return_bounds(world: World, reward: Array, *, horizon: int = HORIZON, discount: float = 1.0) -> tuple[float, float]:
-    """The return of chance, and the most that can be had within the horizon."""
+    """The expected returns of the random policy and of the optimal one. ValueError where they are equal."""
     best = solve_horizon(world, reward, discount=discount, horizon=horizon).pi
-    chance, optimal = (
+    random, optimal = (
         expected_return(world, policy, reward, horizon=horizon, discount=discount)
         for policy in (random_policy(world), best)
     )
-    if optimal - chance <= TIE * float(np.abs(reward).max()):
-        raise ValueError(f"chance earns {chance:.6g}, as much as anyone can, under this reward: wanted one to gain by")
-    return chance, optimal
+    if optimal - random <= TIE * float(np.abs(reward).max()):
+        raise ValueError(f"the random policy is optimal (return {random:.6g}), wanted a reward that separates policies")
+    return random, optimal
 
 
 def normalized_return(
@@ -146,42 +149,42 @@ def normalized_return(
     *,
     horizon: int = HORIZON,
     discount: float = 1.0,
-    known: tuple[float, float] | None = None,
+    bounds: tuple[float, float] | None = None,
 ) -> float:
-    """(return - random) / (optimal - random): 1 for the best that can be done within the horizon, 0 for chance.
+    """(return - random) / (optimal - random): 1 for the optimal policy within the horizon, 0 for the random one.
 
-    `known` are the `bounds`, where they are.
+    `bounds` are the `return_bounds` if they were computed before.
     """
-    chance, optimal = known or return_bounds(world, reward, horizon=horizon, discount=discount)
-    return (expected_return(world, pi, reward, horizon=horizon, discount=discount) - chance) / (optimal - chance)
+    random, optimal = bounds or return_bounds(world, reward, horizon=horizon, discount=discount)
+    return (expected_return(world, pi, reward, horizon=horizon, discount=discount) - random) / (optimal - random)
 
 
-def draw_paths(
+def sample_trajectories(
     world: World, pi: Array, starts: NDArray[np.int64], rng: np.random.Generator, horizon: int = HORIZON
-) -> Paths:
-    """One episode of pi [S, A] or [T, S, A] from each of the starts [N]."""
-    cumulative = np.cumsum(per_step(world, pi, horizon), axis=2)
+) -> Trajectories:
+    """One episode of pi [S, A] or [T, S, A] from each start state [N]."""
+    cumulative = np.cumsum(policy_per_step(world, pi, horizon), axis=2)
     states = np.zeros((len(starts), horizon + 1), dtype=np.int64)
     actions = np.zeros((len(starts), horizon), dtype=np.int64)
     states[:, 0] = starts
     for t in range(horizon):
-        # The last column is taken as 1, whatever rounding made of it: no draw may fall beyond the last action.
+        # The last column is left out and counts as 1: rounding errors cannot select an action past the last one.
         below = cumulative[t, states[:, t], :-1] <= rng.random((len(starts), 1))
         actions[:, t] = below.sum(axis=1)
         states[:, t + 1] = step(world, states[:, t], actions[:, t], rng)
-    return Paths(states=states, actions=actions)
+    return Trajectories(states=states, actions=actions)
 
 
-def per_step(world: World, pi: Array, horizon: int) -> Array:
-    """[T, S, A] a policy at each step, stationary or not."""
+def policy_per_step(world: World, pi: Array, horizon: int) -> Array:
+    """[T, S, A] from pi [S, A] or [T, S, A]. ValueError for other shapes, or rows that are no distributions."""
     shape = (len(world), len(ACTIONS))
     if horizon < 1 or pi.shape not in (shape, (horizon, *shape)):
         raise ValueError(f"a policy for {horizon} steps has shape {pi.shape}, wanted {shape} or {(horizon, *shape)}")
     if (pi < 0).any() or not np.allclose(pi.sum(axis=-1), 1.0, atol=1e-5):
-        raise ValueError("a policy's probabilities are negative or do not add up to 1 in every state")
+        raise ValueError("a policy has negative probabilities, or probabilities that do not add up to 1 in some state")
     return np.broadcast_to(pi, (horizon, *shape))
 
 
 def _check_temperature(temperature: float) -> None:
     if temperature < 0.0:
-        raise ValueError(f"the temperature is {temperature}, wanted 0 or more")
+        raise ValueError(f"the temperature is {temperature}, wanted at least 0")

@@ -1,4 +1,4 @@
-"""Checkpoints that are whole or not there: written aside, hashed, renamed, then pointed at."""
+"""Atomic checkpoints: written to a temporary folder, hashed, renamed into place, then named in the `latest` file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,11 @@ LATEST = "latest"
 
 
 def save_checkpoint(folder: Path, step: int, write: Callable[[Path], None], keep: int) -> Path:
-    """Let `write` fill a checkpoint for `step`, make it the latest, and prune all but the newest `keep`."""
+    """Save a checkpoint for `step`, make it the latest, and delete all but the newest `keep`.
+
+    `write` has to put all files of the checkpoint directly into the folder that it is called with. If it raises, the
+    latest checkpoint stays as it was. Returns the folder of the new checkpoint.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     final, partial = _free_name(folder, step), folder / f".partial-{step:08d}"
     for abandoned in folder.glob(".partial-*"):
@@ -28,58 +32,60 @@ def save_checkpoint(folder: Path, step: int, write: Callable[[Path], None], keep
     manifest.write_text(json.dumps({"step": step, "sha256": hashes}, indent=2))
     _sync_and_hash(manifest)
     sync_folder(partial)
-    if final.exists():  # of a future that was given up by going back
+    if final.exists():  # left from before the run went back to an earlier checkpoint
         final.rename(folder / f".partial-{step:08d}-old")
     partial.rename(final)
     sync_folder(folder)
     with atomic_write(folder / LATEST) as file:
         file.write(final.name.encode())
-    others = sorted(path for path in folder.glob("step-*") if path != final)  # later ones too, after going back
+    others = sorted(path for path in folder.glob("step-*") if path != final)  # may hold later steps, see above
     for old in [*others[: max(0, len(others) + 1 - keep)], *folder.glob(".partial-*")]:
         shutil.rmtree(old)
     return final
 
 
 def latest_checkpoint(folder: Path) -> Path:
-    """The checkpoint to resume from, complete and unchanged; ValueError, one line, when there is none."""
+    """The folder of the latest checkpoint, verified against its hashes.
+
+    Raises ValueError, in one line, if there is none, or if it is incomplete or damaged.
+    """
     pointer = folder / LATEST
     if not pointer.is_file():
         raise ValueError(f"{folder} holds no checkpoint to resume from")
     found = folder / pointer.read_text().strip()
     if found.parent != folder or not (found / MANIFEST).is_file():
-        raise ValueError(f"{pointer} names {found.name!r}, which is no complete checkpoint{_instead(folder, found)}")
+        raise ValueError(f"{pointer} names {found.name!r}, which is no complete checkpoint{_advice(folder, found)}")
     try:
         wanted: dict[str, str] = json.loads((found / MANIFEST).read_text())["sha256"]
         names = sorted(wanted.keys())
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"{found / MANIFEST} is damaged: {error!r}{_instead(folder, found)}") from None
+        raise ValueError(f"{found / MANIFEST} is damaged: {error!r}{_advice(folder, found)}") from None
     for name in names:
         path = found / name
         if not path.is_file():
-            raise ValueError(f"the checkpoint {found} is incomplete: {name} is missing{_instead(folder, found)}")
+            raise ValueError(f"the checkpoint {found} is incomplete: {name} is missing{_advice(folder, found)}")
         if hashlib.sha256(path.read_bytes()).hexdigest() != wanted[name]:
-            size = path.stat().st_size
             raise ValueError(
-                f"the checkpoint {found} is damaged: {name}, now {size} bytes, is not what was saved"
-                f"{_instead(folder, found)}"
+                f"the checkpoint {found} is damaged: the SHA-256 of {name} ({path.stat().st_size} bytes) is not the "
+                f"one in {MANIFEST}{_advice(folder, found)}"
             )
     return found
 
 
 def _free_name(folder: Path, step: int) -> Path:
-    """A name that is not the latest's: of a step saved twice the first stays whole until the second is."""
+    """The new checkpoint's folder, never that of the latest: when a step is saved twice, the first save stays valid."""
     pointer = folder / LATEST
     latest = pointer.read_text().strip() if pointer.is_file() else ""
     name = f"step-{step:08d}"
     return folder / (f"{name}-again" if latest == name else name)
 
 
-def _instead(folder: Path, damaged: Path) -> str:
-    """What a person can do about it."""
+def _advice(folder: Path, damaged: Path) -> str:
+    """The end of an error message: how to resume all the same."""
     others = [path.name for path in sorted(folder.glob("step-*")) if path != damaged]
     if not others:
-        return "; there is no older one"
-    return f"; to resume from an older one write {others[-1]} into {folder / LATEST}"
+        return "; there is no older checkpoint"
+    return f"; to resume from an older checkpoint, write {others[-1]} into {folder / LATEST}"
 
 
 def _sync_and_hash(path: Path) -> str:

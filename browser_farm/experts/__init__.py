@@ -1,9 +1,9 @@
-"""Scripted players that are right every time: they make demonstrations and show that the browser works.
+"""Scripted experts for the MiniWoB tasks: they make demonstrations and test the browser.
 
-Each is a function from what a policy sees to an action that a policy could take, and remembers nothing.
+Each is a stateless function from the observation that a policy gets to an action that a policy could take.
 """
 
-from browser_farm.experts import buttons, dates, drags, forms, games, lists, mail, posts, shapes  # noqa: F401  (each enters its experts)
+from browser_farm.experts import buttons, dates, drags, forms, games, lists, mail, posts, shapes  # noqa: F401  (each module registers its experts)
 from browser_farm.experts.page_view import EXPERTS, NoAction, expert
 
 __all__ = ["EXPERTS", "NoAction", "expert"]

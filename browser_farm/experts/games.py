@@ -1,4 +1,4 @@
-"""Pages that answer back: guesses, draws, cards, a game."""
+"""Experts for tasks in which the page reacts randomly or plays: guessing, random numbers, prices, tic-tac-toe."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from browser_farm.experts.page_view import PageView, expert_for
 from giirl_core.types import Action
 
 LINES = ((0, 1, 2), (3, 4, 5), (6, 7, 8), (0, 3, 6), (1, 4, 7), (2, 5, 8), (0, 4, 8), (2, 4, 6))
-CARELESS = 0.55  # how often the other player moves by chance
-US, THEM = 1, -1
-Board = tuple[int, ...]  # nine cells: 1 ours, -1 theirs, 0 free
+RANDOM_MOVE_PROB = 0.55  # probability that the opponent moves uniformly at random
+US, OPPONENT = 1, -1
+Board = tuple[int, ...]  # nine cells: US, OPPONENT, or 0 if free
 
 
 @expert_for("generate-number")
-def generate_until_it_fits(see: PageView) -> Action:
-    shown = next(see.page.text[row] for row in see.rows("div") if re.fullmatch(r"-|\d+", see.page.text[row]))
-    bound = re.search(r"(less|greater) than (\d+)|(odd|even) number", see.said)
+def generate_until_it_fits(view: PageView) -> Action:
+    shown = next(view.page.text[row] for row in view.rows("div") if re.fullmatch(r"-|\d+", view.page.text[row]))
+    bound = re.search(r"(less|greater) than (\d+)|(odd|even) number", view.instruction)
     assert bound is not None
     if shown == "-":
         fits = False
@@ -25,72 +25,79 @@ def generate_until_it_fits(see: PageView) -> Action:
         fits = int(shown) < int(bound[2]) if bound[1] == "less" else int(shown) > int(bound[2])
     else:
         fits = int(shown) % 2 == (bound[3] == "odd")
-    return see.press_button("Submit" if fits else "Generate")
+    return view.click_button("Submit" if fits else "Generate")
 
 
 @expert_for("guess-number")
-def guess_by_halves(see: PageView) -> Action:
-    """Each number has one place in the tree of halves, so the last answer alone says where the search is."""
-    field = see.row("input_number")
-    text = see.reading(0)
+def guess_by_halves(view: PageView) -> Action:
+    """Binary search. Each guess has one place in the search tree, so the last answer alone determines the range."""
+    field = view.row("input_number")
+    text = view.all_text(0)
     low, high = 0, 9
     answer = re.search(r"(lower|higher) than\s*(\d)", text)
     while answer is not None:
         middle = (low + high) // 2
-        known = int(answer[2])
-        if known == middle:
-            low, high = (low, known - 1) if answer[1] == "lower" else (known + 1, high)
+        guessed = int(answer[2])
+        if guessed == middle:
+            low, high = (low, guessed - 1) if answer[1] == "lower" else (guessed + 1, high)
             break
-        low, high = (low, middle - 1) if known < middle else (middle + 1, high)
+        low, high = (low, middle - 1) if guessed < middle else (middle + 1, high)
     guess = str((low + high) // 2)
-    return see.fill({field: guess}) or see.press_button("Submit")
+    return view.fill({field: guess}) or view.click_button("Submit")
 
 
 @expert_for("stock-market")
-def buy_when_it_is_cheap(see: PageView) -> Action:
-    limit = float(see.words(r"less than \$([\d.]+)\.$"))
-    prices = [float(text[1:]) for text in see.page.text if re.fullmatch(r"\$[\d.]+", text)]
-    return see.press_button("Buy") if prices and prices[0] < limit else see.wait()
+def buy_when_it_is_cheap(view: PageView) -> Action:
+    limit = float(view.extract(r"less than \$([\d.]+)\.$"))
+    prices = [float(text[1:]) for text in view.page.text if re.fullmatch(r"\$[\d.]+", text)]
+    return view.click_button("Buy") if prices and prices[0] < limit else view.wait()
 
 
 @expert_for("tic-tac-toe")
-def play_for_the_win(see: PageView) -> Action:
-    """Best play: the other player is careless only half of the time, so even it does not always win."""
-    cells = [cell for line in see.rows(kind="ttt-row") for cell in see.rows("span", inside=line)]
-    board = tuple(US if see.has(cell, "mark-x") else THEM if see.has(cell, "mark-o") else 0 for cell in cells)
-    return see.click(cells[max(_free(board), key=lambda cell: _worth(_put(board, cell, US)))])
+def play_for_the_win(view: PageView) -> Action:
+    """Play the move with the highest probability to win. The opponent is good enough that even this sometimes loses."""
+    cells = [cell for line in view.rows(css_class="ttt-row") for cell in view.rows("span", inside=line)]
+    board = tuple(_owner(view, cell) for cell in cells)
+    return view.click(cells[max(_free(board), key=lambda cell: _win_probability(_put(board, cell, US)))])
+
+
+def _owner(view: PageView, cell: int) -> int:
+    if view.has_class(cell, "mark-x"):
+        return US
+    return OPPONENT if view.has_class(cell, "mark-o") else 0
 
 
 def _free(board: Board) -> list[int]:
     return [cell for cell in range(9) if not board[cell]]
 
 
-def _put(board: Board, cell: int, who: int) -> Board:
-    return (*board[:cell], who, *board[cell + 1 :])
+def _put(board: Board, cell: int, player: int) -> Board:
+    return (*board[:cell], player, *board[cell + 1 :])
 
 
-def _won(board: Board, who: int) -> bool:
-    return any(all(board[cell] == who for cell in line) for line in LINES)
+def _won(board: Board, player: int) -> bool:
+    return any(all(board[cell] == player for cell in line) for line in LINES)
 
 
-def _completing(board: Board, who: int) -> list[int]:
-    return [cell for cell in _free(board) if _won(_put(board, cell, who), who)]
+def _winning_moves(board: Board, player: int) -> list[int]:
+    return [cell for cell in _free(board) if _won(_put(board, cell, player), player)]
 
 
 @functools.cache
-def _worth(board: Board) -> float:
-    """How likely we are to win after our move: the other player wins, blocks or moves by chance."""
+def _win_probability(board: Board) -> float:
+    """Probability to win after our move. The opponent moves at random, or else wins or blocks if it can."""
     if _won(board, US):
         return 1.0
-    replies = {cell: _after(_put(board, cell, THEM)) for cell in _free(board)}
+    replies = {cell: _win_probability_after_reply(_put(board, cell, OPPONENT)) for cell in _free(board)}
     if not replies:
         return 0.0
-    chance = sum(replies.values()) / len(replies)
-    careful = _completing(board, THEM) or _completing(board, US) or list(replies)
-    return CARELESS * chance + (1 - CARELESS) * sum(replies[cell] for cell in careful) / len(careful)
+    random_reply = sum(replies.values()) / len(replies)
+    careful = _winning_moves(board, OPPONENT) or _winning_moves(board, US) or list(replies)
+    careful_term = (1 - RANDOM_MOVE_PROB) * sum(replies[cell] for cell in careful) / len(careful)
+    return RANDOM_MOVE_PROB * random_reply + careful_term
 
 
-def _after(board: Board) -> float:
-    if _won(board, THEM) or not _free(board):
+def _win_probability_after_reply(board: Board) -> float:
+    if _won(board, OPPONENT) or not _free(board):
         return 0.0
-    return max(_worth(_put(board, cell, US)) for cell in _free(board))
+    return max(_win_probability(_put(board, cell, US)) for cell in _free(board))

@@ -1,4 +1,4 @@
-"""Pages where several things are chosen and then submitted: boxes, options, rows of buttons."""
+"""Experts for tasks with several choices before Submit: checkboxes, options, rows of buttons."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ SYNONYMS = tuple(
     water
     """.strip().splitlines()
 )
-SERVED = {  # what a reader of the menu sees in the pictures beside a dish
+DISHES = {  # diet -> the dish whose icons on the menu show it
     "dairy": "Spinach and goat cheese dip",
     "gluten-free": "Caesar Salad",
     "meat": "Chicken wings",
     "peanuts": "Spicy Thai Peanut Chicken",
     "vegan": "Garlic bread",
 }
-DIGITS = (  # rows of four boxes from the top, 8 4 2 1
+DIGITS = (  # seven rows of four checkboxes from the top, as bits 8 4 2 1
     (6, 9, 9, 9, 9, 9, 6),
     (2, 6, 2, 2, 2, 2, 2),
     (6, 9, 9, 2, 4, 8, 15),
@@ -67,95 +67,96 @@ DIGITS = (  # rows of four boxes from the top, 8 4 2 1
 )
 
 
-def _box_beside(see: PageView, label: int) -> int:
-    return next(row for row in see.page.below(label) if see.page.tag[row] in ("input_checkbox", "input_radio"))
+def _checkbox_of(view: PageView, label: int) -> int:
+    return next(row for row in view.page.descendants(label) if view.page.tag[row] in ("input_checkbox", "input_radio"))
 
 
-def _check(see: PageView, wanted: set[str]) -> Action:
-    """Make the labelled boxes that are checked the wanted ones, then submit."""
-    for label in see.rows("label"):
-        box = _box_beside(see, label)
-        if (see.page.value[box] == "checked") != (see.reading(label) in wanted):
-            return see.click(box)
-    return see.press_button("Submit")
+def _check(view: PageView, wanted: set[str]) -> Action:
+    """Check exactly the checkboxes whose labels are wanted, then submit."""
+    for label in view.rows("label"):
+        box = _checkbox_of(view, label)
+        if (view.page.value[box] == "checked") != (view.all_text(label) in wanted):
+            return view.click(box)
+    return view.click_button("Submit")
 
 
 @expert_for("click-checkboxes", "click-checkboxes-large", "click-checkboxes-transfer", "click-option")
-def check_the_named(see: PageView) -> Action:
-    names = see.words(r"Select (.+) and click Submit")
-    return _check(see, set() if names == "nothing" else set(names.split(", ")))
+def check_the_named(view: PageView) -> Action:
+    names = view.extract(r"Select (.+) and click Submit")
+    return _check(view, set() if names == "nothing" else set(names.split(", ")))
 
 
 @expert_for("click-checkboxes-soft")
-def check_the_similar(see: PageView) -> Action:
-    named = see.words(r"similar to (.+) and click Submit").split(", ")
-    return _check(see, set().union(*(group for group in SYNONYMS if group & set(named))))
+def check_the_similar(view: PageView) -> Action:
+    named = view.extract(r"similar to (.+) and click Submit").split(", ")
+    return _check(view, set().union(*(group for group in SYNONYMS if group & set(named))))
 
 
 @expert_for("number-checkboxes")
-def draw_a_digit(see: PageView) -> Action:
-    wanted = [bool(line & bit) for line in DIGITS[int(see.quoted()[0])] for bit in (8, 4, 2, 1)]
-    for box, on in zip(see.rows("input_checkbox"), wanted, strict=True):
-        if (see.page.value[box] == "checked") != on:
-            return see.click(box)
-    return see.press_button("Submit")
+def draw_a_digit(view: PageView) -> Action:
+    wanted = [bool(line & bit) for line in DIGITS[int(view.quoted()[0])] for bit in (8, 4, 2, 1)]
+    for box, on in zip(view.rows("input_checkbox"), wanted, strict=True):
+        if (view.page.value[box] == "checked") != on:
+            return view.click(box)
+    return view.click_button("Submit")
 
 
 @expert_for("choose-list", "click-scroll-list")
-def choose_from_the_list(see: PageView) -> Action:
-    for name in see.words(r"Select (.+) from the (?:scroll )?list").split(", "):
-        option = see.row("option", name)
-        if see.page.value[option] != "checked":
-            return see.click(option)
-    return see.press_button("Submit")
+def choose_from_the_list(view: PageView) -> Action:
+    for name in view.extract(r"Select (.+) from the (?:scroll )?list").split(", "):
+        option = view.row("option", name)
+        if view.page.value[option] != "checked":
+            return view.click(option)
+    return view.click_button("Submit")
 
 
 @expert_for("odd-or-even")
-def mark_odd_and_even(see: PageView) -> Action:
-    for row in see.rows("div", kind="row"):
-        number = int(see.page.text[see.row("div", kind="display-number", inside=row)])
-        button = see.row("button", kind="odd" if number % 2 else "even", inside=row)
-        if not see.has(button, "selected"):
-            return see.click(button)
-    return see.press_button("Submit")
+def mark_odd_and_even(view: PageView) -> Action:
+    for row in view.rows("div", css_class="row"):
+        number = int(view.page.text[view.row("div", css_class="display-number", inside=row)])
+        button = view.row("button", css_class="odd" if number % 2 else "even", inside=row)
+        if not view.has_class(button, "selected"):
+            return view.click(button)
+    return view.click_button("Submit")
 
 
 @expert_for("order-food")
-def order_the_dishes(see: PageView) -> Action:
-    dishes = {see.page.text[row]: see.above(row, kind="food-item") for row in see.rows(kind="item-name")}
-    kind = re.search(r"Order (\d+) items that are (\S+)", see.said)
-    if kind is None:
-        wanted = dict.fromkeys(see.words(r"Order one of each item: (.+)").split(", "), 1)
+def order_the_dishes(view: PageView) -> Action:
+    names = view.rows(css_class="item-name")
+    dishes = {view.page.text[row]: view.ancestor(row, css_class="food-item") for row in names}
+    diet = re.search(r"Order (\d+) items that are (\S+)", view.instruction)
+    if diet is None:
+        wanted = dict.fromkeys(view.extract(r"Order one of each item: (.+)").split(", "), 1)
     else:
-        wanted = {SERVED[kind[2]]: int(kind[1])}
+        wanted = {DISHES[diet[2]]: int(diet[1])}
     for name, amount in wanted.items():
         item = dishes[name.strip()]
-        shown = [see.page.text[row] for row in see.rows(kind="quantity", inside=item)]
+        shown = [view.page.text[row] for row in view.rows(css_class="quantity", inside=item)]
         if int("".join(shown) or 0) < amount:
-            return see.click(see.row(kind="add", inside=item))
-    return see.press_button("Order!")
+            return view.click(view.row(css_class="add", inside=item))
+    return view.click_button("Order!")
 
 
 @expert_for("buy-ticket")
-def buy_the_best_ticket(see: PageView) -> Action:
-    wanted = see.words(r"with the (\w+ \w+(?: \w+)?)\.")
-    flights = see.rows(kind="flight")
+def buy_the_best_ticket(view: PageView) -> Action:
+    wanted = view.extract(r"with the (\w+ \w+(?: \w+)?)\.")
+    flights = view.rows(css_class="flight")
 
     def price(flight: int) -> int:
-        return int(see.page.text[see.row("button", inside=flight)].partition("$")[2])
+        return int(view.page.text[view.row("button", inside=flight)].partition("$")[2])
 
     def minutes(flight: int) -> int:
-        hours, rest = re.findall(r"\d+", see.page.text[see.row(kind="time-duration", inside=flight)])
+        hours, rest = re.findall(r"\d+", view.page.text[view.row(css_class="time-duration", inside=flight)])
         return 60 * int(hours) + int(rest)
 
     least = wanted in ("cheapest cost", "shortest duration")
     best = (min if least else max)(flights, key=price if wanted.endswith("cost") else minutes)
-    return see.click(see.row("button", inside=best))
+    return view.click(view.row("button", inside=best))
 
 
 @expert_for("phone-book")
-def find_the_contact(see: PageView) -> Action:
-    name, what = see.words(r"Find (.+) in the"), see.words(r"click on their (\w+)")
-    if see.page.text[see.row(kind="name")] == name:
-        return see.click(see.row("a", kind=what))
-    return see.click(see.row("a", ">"))
+def find_the_contact(view: PageView) -> Action:
+    name, what = view.extract(r"Find (.+) in the"), view.extract(r"click on their (\w+)")
+    if view.page.text[view.row(css_class="name")] == name:
+        return view.click(view.row("a", css_class=what))
+    return view.click(view.row("a", ">"))

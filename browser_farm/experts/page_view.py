@@ -1,4 +1,4 @@
-"""What a scripted expert sees of a page and may do on it, in the words that experts think in."""
+"""The view of a page that scripted experts use: look up rows, read the instruction, build actions."""
 
 from __future__ import annotations
 
@@ -17,120 +17,121 @@ ORDINAL = re.compile(r"\b(\d+)(?:st|nd|rd|th)\b")
 
 @dataclass(frozen=True, slots=True)
 class PageView:
-    """One observation, the very one that a policy gets. Whatever is not on the page is a ValueError."""
+    """One observation, the same that a policy gets. Lookups raise ValueError if the page has no such row."""
 
-    seen: Observation
+    observation: Observation
 
     @property
     def page(self) -> Page:
-        return self.seen.page
+        """The page of the observation."""
+        return self.observation.page
 
     @property
-    def said(self) -> str:
-        """The instruction."""
-        return self.seen.goal.utterance
+    def instruction(self) -> str:
+        """The text of the goal."""
+        return self.observation.goal.utterance
 
-    def words(self, pattern: str | re.Pattern[str]) -> str:
-        """The first group of a pattern in the instruction."""
-        match = re.search(pattern, self.said)
+    def extract(self, pattern: str | re.Pattern[str]) -> str:
+        """The first group of a regular expression in the instruction. ValueError if it does not match."""
+        match = re.search(pattern, self.instruction)
         if match is None:
-            raise ValueError(f"the instruction {self.said!r} does not read like {pattern}")
+            raise ValueError(f"the instruction is {self.instruction!r}, wanted a match of {pattern}")
         return str(match.group(1))
 
     def quoted(self) -> list[str]:
-        """What stands in quotation marks in the instruction."""
-        return QUOTED.findall(self.said)
+        """The quoted strings of the instruction."""
+        return QUOTED.findall(self.instruction)
 
     # ---- rows
 
     def rows(
-        self, tag: str | None = None, text: str | None = None, kind: str | None = None, inside: int | None = None
+        self, tag: str | None = None, text: str | None = None, css_class: str | None = None, inside: int | None = None
     ) -> list[int]:
-        """Rows with this tag, this text, this among their classes, somewhere below this row."""
+        """Rows with this tag, exactly this text and this CSS class, below the row `inside`. None matches everything."""
         page = self.page
-        rows = range(len(page)) if inside is None else self.page.below(inside)
+        rows = range(len(page)) if inside is None else self.page.descendants(inside)
         return [
             row
             for row in rows
             if (tag is None or page.tag[row] == tag)
             and (text is None or page.text[row] == text)
-            and (kind is None or kind in page.classes[row].split())
+            and (css_class is None or css_class in page.classes[row].split())
         ]
 
     def row(
-        self, tag: str | None = None, text: str | None = None, kind: str | None = None, inside: int | None = None
+        self, tag: str | None = None, text: str | None = None, css_class: str | None = None, inside: int | None = None
     ) -> int:
-        """The first of `rows`."""
-        rows = self.rows(tag, text, kind, inside)
+        """The first of `rows`. ValueError if there is none."""
+        rows = self.rows(tag, text, css_class, inside)
         if not rows:
             wanted = ", ".join(
-                f"{n} {v!r}" for n, v in (("tag", tag), ("text", text), ("class", kind)) if v is not None
+                f"{n} {v!r}" for n, v in (("tag", tag), ("text", text), ("class", css_class)) if v is not None
             )
-            raise ValueError(f"nothing with {wanted} on the page of {self.seen.episode}")
+            raise ValueError(f"the page has no row with {wanted}")
         return rows[0]
 
-    def above(self, row: int, tag: str | None = None, kind: str | None = None) -> int:
-        """The nearest row around this one with such a tag and class."""
-        around = self.rows(tag, None, kind)
+    def ancestor(self, row: int, tag: str | None = None, css_class: str | None = None) -> int:
+        """The nearest ancestor of a row with this tag and CSS class. ValueError if there is none."""
+        candidates = self.rows(tag, None, css_class)
         parent = int(self.page.parent[row])
         while parent >= 0:
-            if parent in around:
+            if parent in candidates:
                 return parent
             parent = int(self.page.parent[parent])
-        raise ValueError(f"row {row} of the page of {self.seen.episode} lies in no {tag or ''}{kind or ''}")
+        wanted = " ".join(filter(None, (tag, css_class)))
+        raise ValueError(f"row {row} of the page has no ancestor {wanted!r}")
 
-    def reading(self, row: int) -> str:
-        """All the text of a row and what is in it."""
-        return " ".join(self.page.text[each] for each in (row, *self.page.below(row)) if self.page.text[each])
+    def all_text(self, row: int) -> str:
+        """The text of a row and of its descendants, joined by spaces."""
+        return " ".join(self.page.text[each] for each in (row, *self.page.descendants(row)) if self.page.text[each])
 
-    def leaf(self, row: int) -> int:
-        """The first leaf of a row, itself where it is one: what a policy may click."""
-        below = self.page.below(row)
+    def first_leaf(self, row: int) -> int:
+        """The first leaf below a row, or the row itself if it is a leaf. Policies click leaves only."""
+        below = self.page.descendants(row)
         return next((each for each in below if self.page.leaf[each]), row)
 
-    def has(self, row: int, kind: str) -> bool:
-        """Whether a class is among the row's."""
-        return kind in self.page.classes[row].split()
-
-    def centre(self, row: int) -> tuple[float, float]:
-        """The middle of a row's box, px."""
-        left, top, width, height = (float(each) for each in self.page.box[row])
-        return left + width / 2, top + height / 2
+    def has_class(self, row: int, css_class: str) -> bool:
+        """Whether a row has this CSS class."""
+        return css_class in self.page.classes[row].split()
 
     # ---- actions
 
     def click(self, row: int, at: Offset = CENTRE) -> Action:
+        """Click a row, `at` an offset from its centre."""
         return Action(verb=Verb.CLICK, element=row, at=at)
 
-    def press_button(self, text: str) -> Action:
-        """Click the button that reads exactly `text`."""
+    def click_button(self, text: str) -> Action:
+        """Click the button with exactly this text."""
         return self.click(self.row("button", text))
 
     def press(self, key: str, row: int = NO_ELEMENT) -> Action:
-        """A key or a chord, in a row or where the focus is."""
+        """Press a key or a chord in a row, or in the focused element."""
         return Action(verb=Verb.PRESS, element=row, literal=key)
 
     def wait(self) -> Action:
+        """Do nothing for one step."""
         return Action(verb=Verb.WAIT)
 
     def hover(self, row: int) -> Action:
+        """Move the mouse to a row."""
         return Action(verb=Verb.HOVER, element=row)
 
     def drag(self, row: int, to: int = NO_ELEMENT, at: Offset = CENTRE, by: Offset = CENTRE) -> Action:
-        """From a row, `by` so much or to another row and `by` so much from there."""
+        """Drag from a row, `at` an offset from its centre, to the centre of the row `to` (or the start) plus `by`."""
         return Action(verb=Verb.DRAG, element=row, to=to, at=at, by=by)
 
     def scroll(self, row: int, down: float) -> Action:
+        """Scroll a row by `down` px, upwards if negative."""
         return Action(verb=Verb.SCROLL, element=row, by=(0.0, down))
 
     def type(self, row: int, text: str) -> Action:
-        """Replace what a field holds: with words of the instruction where it has them."""
-        start, end = self.seen.goal.find(text)
+        """Replace the value of a field by a text, as a span of the instruction if it has one."""
+        start, end = self.observation.goal.find(text)
         literal = text if start == NO_SPAN else ""
         return Action(verb=Verb.TYPE, element=row, start=start, end=end, literal=literal)
 
     def fill(self, wanted: dict[int, str]) -> Action | None:
-        """Type into the first field that does not hold what it should; None when all do."""
+        """Type into the first field whose value is not the wanted one. None if all values are right."""
         for row, text in wanted.items():
             if self.page.value[row] != text:
                 return self.type(row, text)
@@ -138,36 +139,39 @@ class PageView:
 
 
 class NoAction(ValueError):
-    """The expert finds nothing to do on a page."""
+    """The expert has no action for a page."""
 
 
-Player = Callable[[PageView], Action]
-EXPERTS: dict[str, Player] = {}
+Expert = Callable[[PageView], Action]
+EXPERTS: dict[str, Expert] = {}
 
 
-def expert_for(*tasks: str) -> Callable[[Player], Player]:
-    """Name the tasks that a function plays."""
+def expert_for(*tasks: str) -> Callable[[Expert], Expert]:
+    """Decorator: register a function as the expert of these tasks."""
 
-    def enter(player: Player) -> Player:
+    def register(function: Expert) -> Expert:
         for task in tasks:
             assert task not in EXPERTS, f"two experts for {task}"
-            EXPERTS[task] = player
-        return player
+            EXPERTS[task] = function
+        return function
 
-    return enter
+    return register
 
 
 def expert(task: str) -> Callable[[Observation], Action]:
-    """The scripted player of a task; it sees what a policy sees and nothing else."""
+    """The scripted expert of a task, as a function from observations to actions.
+
+    ValueError for a task without an expert. The function raises NoAction if the expert has no action for a page.
+    """
     if task not in EXPERTS:
         near = difflib.get_close_matches(task, EXPERTS, n=1, cutoff=0.0)[0]
-        raise ValueError(f"no scripted expert plays {task!r}: did you mean {near!r}? ({len(EXPERTS)} tasks have one)")
-    player = EXPERTS[task]
+        raise ValueError(f"{task!r} has no scripted expert: did you mean {near!r}? ({len(EXPERTS)} tasks have one)")
+    function = EXPERTS[task]
 
-    def play(seen: Observation) -> Action:
+    def act(observation: Observation) -> Action:
         try:
-            return player(PageView(seen))
+            return function(PageView(observation))
         except (ValueError, LookupError, StopIteration) as error:
-            raise NoAction(f"the expert of {seen.episode} finds nothing to do: {error}") from error
+            raise NoAction(f"the expert has no action for {observation.episode}: {error}") from error
 
-    return play
+    return act

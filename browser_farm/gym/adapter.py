@@ -195,7 +195,7 @@ def chord_of(name: str) -> str:
         key = WRITING.get(key[1:-1], key[1:-1]).removeprefix("Numpad").removeprefix("Right")
     wanted = "+".join([*held, key])
     try:
-        keys.chord(wanted)
+        keys.parse_chord(wanted)
     except ValueError as error:
         raise ValueError(f"the key {name!r} has no meaning for a page: {error}") from error
     return wanted

@@ -1,236 +1,296 @@
-"""Finds in recorded gestures what the person did: clicks on leaves, and texts typed into fields."""
+"""Infers the actions of a person from the gestures of a recording: clicks on leaf elements, and typing into fields.
+
+`KEY_RULES` apply to gestures with the keyboard, `MOUSE_RULES` to clicks. The rules of a table are tried in order, and
+the first rule that applies decides. A rule returns the action; or IGNORED, if the gesture is not an action; or None, if
+the rule does not apply. It raises UnsupportedRecording if policies have no such action. The docstring of each rule
+gives an example.
+"""
 
 from __future__ import annotations
 
 import itertools
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from enum import Enum
+from typing import Final, Literal
 
-from browser_farm.human.gestures import (
-    CAPTURE,
-    CLICKING_KINDS,
-    TAB,
-    Gesture,
-    Kind,
-    State,
-    UnsupportedRecording,
-    gestures_of,
-)
-from browser_farm.human.recorded_pages import Node, Screen
+from browser_farm.human.gesture_context import TOGGLE_TAGS, GestureContext, InferredAction
+from browser_farm.human.gestures import TAB, Gesture, GestureKind, RecordedState, UnsupportedRecording, gestures_of
+from browser_farm.human.leaf_rules import resolve_leaf
+from browser_farm.human.recorded_pages import Node
 from giirl_core.types import TYPABLE_TAGS, Verb
 
 ENTER = 13
-TOGGLES = frozenset({"input_checkbox", "input_radio"})
-CONTROLS = frozenset({"a", "button", "label", "li", "span", "td"})  # one thing to click, whatever is inside
-NATIVE_LISTS = frozenset({"select", "option"})  # recorders never saw which option was chosen
+NATIVE_LIST_TAGS = frozenset({"select", "option"})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
-    """One action of the person, and the state whose page it was decided on."""
+class Verdict(Enum):
+    """A decision of a rule that is not an action."""
 
-    state: int
-    verb: Verb
-    row: int  # of that state's screen
-    ref: int
-    text: str = ""
+    IGNORED = 1
 
 
-def repair(states: Sequence[State], *, strict: bool = True) -> list[Step]:
-    """The person's actions in order, each with the page it was decided on.
+IGNORED: Final = Verdict.IGNORED
+Decision = InferredAction | Literal[Verdict.IGNORED]
+Rule = Callable[[GestureContext], Decision | None]
 
-    Strict is for demonstrations. Otherwise (for failures, which teach by what was done) a click may stay on a
-    container, and checkboxes need not follow from the clicks.
+
+def infer_actions(states: Sequence[RecordedState], *, strict: bool = True) -> list[InferredAction]:
+    """The person's actions in order, each with the page on which it was decided.
+
+    `strict` is for demonstrations. With strict=False, for failed episodes, a click may stay on a container, and the
+    checkbox states need not be reproduced. UnsupportedRecording if the recording needs actions that policies lack.
     """
+    actions: list[InferredAction] = []
+    idle_since: int | None = None  # state in which ignored gestures began that left the page as it was
     gestures = gestures_of(states)
-    steps: list[Step] = []
-    waiting: int | None = None  # where gestures without effect began: the page is still the one from before them
     for index, gesture in enumerate(gestures):
-        following = gestures[index + 1] if index + 1 < len(gestures) else None
-        before = gesture.first if waiting is None else waiting
-        if _ref(gesture.target) not in states[before].screen.row_of:
-            before = gesture.first
-        after = following.first if following else len(states) - 1
-        moment = _Moment(
-            states=states, gesture=gesture, before=before, after=after, last=following is None, strict=strict
+        context = GestureContext(
+            states=states,
+            gesture=gesture,
+            following=gestures[index + 1] if index + 1 < len(gestures) else None,
+            before=_decision_state(states, gesture, idle_since),
+            strict=strict,
         )
-        presses_it = (
-            gesture.kind is Kind.KEYS
-            and following is not None
-            and following.kind is Kind.KEY_CLICK
-            and _ref(following.target) == _ref(gesture.down)
-        )
-        step = None if presses_it else moment.step()
-        if step is None:
-            waiting = before if presses_it or moment.unnoticed() else None
-            continue
-        waiting = None
-        if steps and step.verb is Verb.TYPE and steps[-1].verb is Verb.TYPE and steps[-1].ref == step.ref:
-            step = replace(steps.pop(), text=step.text)  # typed on in the same field
-        steps.append(step)
-    if not steps:
+        decision = decide(context)
+        if isinstance(decision, InferredAction):
+            idle_since = None
+            _append(actions, decision)
+        else:
+            idle_since = context.before if _keeps_decision_page(context) else None
+    if not actions:
         raise UnsupportedRecording("no action")
     if strict:
-        _check_toggles(states, steps)
-    return steps
+        check_checkboxes(states, actions)
+    return actions
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Moment:
-    """A gesture with the pages around it."""
+def decide(context: GestureContext) -> Decision:
+    """The decision of the first rule that applies."""
+    for rule in KEY_RULES if context.gesture.kind is GestureKind.KEYS else MOUSE_RULES:
+        decision = rule(context)
+        if decision is not None:
+            return decision
+    raise AssertionError("the last rule of each table always decides")
 
-    states: Sequence[State]
-    gesture: Gesture
-    before: int  # state that the person saw when deciding
-    after: int  # state in which the next gesture begins, or the recording's last
-    last: bool
-    strict: bool
 
-    def step(self) -> Step | None:
-        """The action this gesture stands for, None when it had no effect."""
-        aimed = (self.gesture.down, self.gesture.target)
-        if any(node is not None and node.tag in NATIVE_LISTS for node in aimed):
-            raise UnsupportedRecording("native list")
-        return self._typed() if self.gesture.kind is Kind.KEYS else self._clicked()
+# ---- rules for both
 
-    def unnoticed(self) -> bool:
-        """Whether a policy, which makes no idle gestures, would still see the page from before this one."""
-        return TAB in self.gesture.codes or self._inert()
 
-    def _typed(self) -> Step | None:
-        step = self._new_value(self.gesture.down)
-        if TAB in self.gesture.codes and step is None and not self.last:
-            return None  # it moves the focus, as the next click or text does by itself
-        if (step is None and (self.last or not self._inert(boxes=False))) or (
-            self.last and ENTER in self.gesture.codes
-        ):
-            raise UnsupportedRecording("unsupported key")
-        return step
+def native_list(context: GestureContext) -> None:
+    """Native lists are refused, because recordings do not show which option was chosen.
 
-    def _clicked(self) -> Step | None:
-        target = self._aim()
-        if target is not None:
-            pasted = self._new_value(target)  # by the mouse, or a number field's own arrows
-            if pasted is not None:
-                return pasted
-        row = -1 if target is None else self._screen.row_of.get(target.ref, -1)
-        leaf = row >= 0 and self._screen.is_leaf(row)
-        on_field = leaf and self._screen.nodes[row].tag in TYPABLE_TAGS
-        beside = not leaf and not self._effect()
-        idle = beside or ((not leaf or on_field or self.gesture.kind is Kind.PRESS) and self._inert())
-        if idle and not self.last:
-            return None
-        if self.gesture.kind is Kind.PRESS and not self.last and _ref(self.gesture.down) != _ref(target):
-            raise UnsupportedRecording("drag")
-        return self._click(row if leaf else self._leaf(row))
+    Example: click on a <select>. Result: UnsupportedRecording.
+    """
+    nodes = (context.gesture.down, context.gesture.target)
+    if any(node is not None and node.tag in NATIVE_LIST_TAGS for node in nodes):
+        raise UnsupportedRecording("native list")
 
-    def _aim(self) -> Node | None:
-        gesture = self.gesture
-        if gesture.relayed is not None and gesture.relayed.tag in TOGGLES:
-            return gesture.relayed
-        if gesture.target is None or (gesture.kind is Kind.PRESS and self.last):
-            return gesture.down
-        known = gesture.target.ref in self._screen.row_of
-        return gesture.target if known or gesture.down is None else gesture.down
 
-    @property
-    def _screen(self) -> Screen:
-        return self.states[self.before].screen
+# ---- rules for the keyboard
 
-    def _inert(self, *, boxes: bool = True) -> bool:
-        """Whether the page was still the same when the next gesture began; without boxes, or scrolled."""
-        return self._screen.same_but_focus(self.states[self.after].screen, boxes=boxes)
 
-    def _effect(self) -> bool:
-        """Whether an event of this gesture itself changed the page, not a scroll bar or a running animation.
+def key_that_clicks(context: GestureContext) -> Decision | None:
+    """A key that produces a click event is ignored. The click event is the action.
 
-        The page of an event's capture phase is compared with that of its bubble phase. Where a page stopped
-        the event in between, it did something with it.
-        """
-        for index in range(self.gesture.first, self.after):
-            state, answer = self.states[index], self.states[index + 1]
-            if state.kind not in CLICKING_KINDS or state.timing != CAPTURE:
-                continue
-            if answer.kind != state.kind or answer.timing == CAPTURE:
-                return True
-            if not state.screen.same_but_focus(answer.screen):
-                return True
-        later = self.states[self.after].screen  # browsers switch a label's checkbox after the event is over
-        return any(node.tag in TOGGLES and _flipped(node, later) for node in self._screen.nodes)
+    Example: Enter on the focused Submit button. Result: CLICK on Submit, by the gesture that follows.
+    """
+    return IGNORED if _produces_click(context) else None
 
-    def _click(self, row: int) -> Step:
-        return Step(state=self.before, verb=Verb.CLICK, row=row, ref=self._screen.nodes[row].ref)
 
-    def _new_value(self, field: Node | None) -> Step | None:
-        """Typing, seen by its effect: the field holds something else when the next gesture begins."""
-        row = -1 if field is None else self._screen.row_of.get(field.ref, -1)
-        if field is None or row < 0 or field.tag in TOGGLES or not field.tag.startswith(("input_", "textarea")):
-            return None
-        for index in range(self.after, self.gesture.first, -1):  # the field may be gone when the run is over
-            screen = self.states[index].screen
-            if field.ref in screen.row_of:
-                text = screen.nodes[screen.row_of[field.ref]].value
-                if text == self._screen.nodes[row].value:
-                    return None
-                if field.tag not in TYPABLE_TAGS:
-                    raise UnsupportedRecording("field takes no text")
-                return Step(state=self.before, verb=Verb.TYPE, row=row, ref=field.ref, text=text)
+def typing(context: GestureContext) -> Decision | None:
+    """Keys that change a field are typing: its new value is the text. This includes paste with Ctrl-V.
+
+    Example: keys A d a in an empty field. Result: TYPE "Ada". Not if Enter ends the episode, see `unsupported_key`.
+    """
+    action = context.typed_into(context.gesture.down)
+    enter_ends_episode = context.is_last and ENTER in context.gesture.key_codes
+    return None if enter_ends_episode else action
+
+
+def tab_key(context: GestureContext) -> Decision | None:
+    """Tab is ignored. It moves the focus, and so does the click or the typing that follows.
+
+    Example: type "Ada", Tab, type "pass". Result: TYPE "Ada" and TYPE "pass" in the next field.
+    """
+    return IGNORED if TAB in context.gesture.key_codes and not context.is_last else None
+
+
+def keys_without_effect(context: GestureContext) -> Decision | None:
+    """Keys that change nothing on the page but positions are ignored.
+
+    Example: Ctrl-C copies a text. An arrow key scrolls the page.
+    """
+    return IGNORED if not context.is_last and context.page_unchanged(compare_boxes=False) else None
+
+
+def unsupported_key(context: GestureContext) -> Decision | None:
+    """All other keys are refused, because policies have no such action.
+
+    Example: Enter in a text field submits the form.
+    """
+    raise UnsupportedRecording("unsupported key")
+
+
+KEY_RULES: tuple[Rule, ...] = (
+    key_that_clicks,
+    native_list,
+    typing,
+    tab_key,
+    keys_without_effect,
+    unsupported_key,
+)
+
+
+# ---- rules for the mouse
+
+
+def value_changed_by_mouse(context: GestureContext) -> Decision | None:
+    """A mouse gesture that changes the value of its field is typing.
+
+    Example: paste "Ada" with the context menu. Result: TYPE "Ada". Other cases are the arrows of a number field
+    (task guess-number) and Chrome's own calendar (task enter-date).
+    """
+    return context.typed_into(context.clicked)
+
+
+def focus_click(context: GestureContext) -> Decision | None:
+    """A click that only focuses a text field is ignored, because typing focuses the field by itself.
+
+    Example: click on the field, type "Ada". Result: TYPE "Ada", decided on the page before the click. If the click ends
+    the episode, as in the task focus-text, it is an action.
+    """
+    if context.is_last or not context.clicks_leaf:
         return None
-
-    def _leaf(self, row: int) -> int:
-        """The leaf that a click on a container stands for."""
-        screen, later = self._screen, self.states[self.after].screen
-        leaves = screen.leaves_below(row)
-        toggles = [leaf for leaf in leaves if screen.nodes[leaf].tag in TOGGLES]
-        flipped = [leaf for leaf in toggles if _flipped(screen.nodes[leaf], later)]
-        at = self.states[self.gesture.first]
-        hit = sorted((box[2] * box[3], leaf) for leaf in leaves if _holds(box := screen.nodes[leaf].box, at.x, at.y))
-        if len(flipped) == 1:
-            return flipped[0]
-        if row >= 0 and len(toggles) == 1 and self.last:
-            return toggles[0]
-        if row >= 0 and len(leaves) == 1:
-            return leaves[0]
-        if hit:
-            return hit[0][1]
-        if row >= 0 and screen.nodes[row].tag in CONTROLS and leaves:
-            return min(leaves, key=lambda leaf: _distance(screen.nodes[leaf].box, at.x, at.y))
-        if row >= 0 and not self.strict:
-            return row
-        raise UnsupportedRecording("acts on a container" if row >= 0 else "acts outside the task")
+    on_field = context.screen.nodes[context.clicked_row].tag in TYPABLE_TAGS
+    return IGNORED if on_field and context.page_unchanged() else None
 
 
-def _check_toggles(states: Sequence[State], steps: Sequence[Step]) -> None:
-    """Between two actions, exactly the checkbox that was clicked may flip."""
-    opening = Step(state=0, verb=Verb.CLICK, row=-1, ref=-1)
-    for step, following in itertools.pairwise([opening, *steps]):
+def press_without_effect(context: GestureContext) -> Decision | None:
+    """A mouse press without a click event is ignored if it changes nothing.
+
+    Example (task click-button): mouse down on the button "ok", mouse up outside all buttons.
+    """
+    if context.is_last or not context.clicks_leaf or context.gesture.kind is not GestureKind.PRESS:
+        return None
+    return IGNORED if context.page_unchanged() else None
+
+
+def wasted_click(context: GestureContext) -> Decision | None:
+    """A click on a container is ignored if the page does not react, unless it ends the episode.
+
+    Example: click on an empty part of the page. Pull a scroll bar: elements move, but no handler reacted.
+    """
+    if context.is_last or context.clicks_leaf:
+        return None
+    return IGNORED if not context.page_reacted() or context.page_unchanged() else None
+
+
+def drag(context: GestureContext) -> Decision | None:
+    """A drag that changes the page is refused.
+
+    Example: mouse down on the first item of a sortable list, mouse up on the second.
+    """
+    is_press = context.gesture.kind is GestureKind.PRESS
+    if is_press and not context.is_last and _ref(context.gesture.down) != _ref(context.clicked):
+        raise UnsupportedRecording("drag")
+    return None
+
+
+def click_on_leaf(context: GestureContext) -> Decision | None:
+    """A click on a leaf is an action on the page before the mouse went down.
+
+    Example: click on the button "No". Result: CLICK on "No". A click on a label counts as a click on its checkbox, see
+    `gesture_context.checkbox_of_label`.
+    """
+    return context.click(context.clicked_row) if context.clicks_leaf else None
+
+
+def click_in_container(context: GestureContext) -> Decision | None:
+    """A click on a container is a click on one of its leaves, chosen by `leaf_rules.LEAF_RULES`.
+
+    Example: click on the text "two" of a <div>. Result: CLICK on "two".
+    """
+    return context.click(resolve_leaf(context, context.clicked_row))
+
+
+MOUSE_RULES: tuple[Rule, ...] = (
+    native_list,
+    value_changed_by_mouse,
+    focus_click,
+    press_without_effect,
+    wasted_click,
+    drag,
+    click_on_leaf,
+    click_in_container,
+)
+
+
+# ---- rules for the sequence of actions
+
+
+def _decision_state(states: Sequence[RecordedState], gesture: Gesture, idle_since: int | None) -> int:
+    """The state whose page the person saw when deciding.
+
+    After ignored gestures it is the state before them, since a policy does not make them. Example: the page before a
+    focus click, not the page with the focused field. If the target did not exist yet, it is the gesture's own state.
+    """
+    if idle_since is None or _ref(gesture.target) not in states[idle_since].screen.row_of:
+        return gesture.start
+    return idle_since
+
+
+def _keeps_decision_page(context: GestureContext) -> bool:
+    """Whether the next action counts as decided on the page before this ignored gesture.
+
+    True if a policy, which does not make the gesture, would still see that page.
+    """
+    return _produces_click(context) or TAB in context.gesture.key_codes or context.page_unchanged()
+
+
+def _append(actions: list[InferredAction], action: InferredAction) -> None:
+    """Append an action; continued typing in the same field becomes one action with the final text.
+
+    Example: type "Ada", click into the field, type " Lovelace". Result: one TYPE "Ada Lovelace".
+    """
+    if actions and action.verb is Verb.TYPE and actions[-1].verb is Verb.TYPE and actions[-1].ref == action.ref:
+        actions[-1] = replace(actions[-1], text=action.text)
+    else:
+        actions.append(action)
+
+
+def check_checkboxes(states: Sequence[RecordedState], actions: Sequence[InferredAction]) -> None:
+    """The inferred clicks must reproduce the recorded checkbox states, otherwise the recording is refused.
+
+    Between two actions, the clicked checkbox must change and no other; a clicked radio button must be on. Example: a
+    click on "bees" after which "cats" is checked too. UnsupportedRecording.
+    """
+    for action, following in itertools.pairwise([None, *actions]):
+        assert following is not None
+        earlier = states[0 if action is None else action.state].screen
         later = states[following.state].screen
-        for node in states[step.state].screen.nodes:
-            if node.tag not in TOGGLES or node.ref not in later.row_of:
+        for node in earlier.nodes:
+            if node.tag not in TOGGLE_TAGS or node.ref not in later.row_of:
                 continue
-            clicked = step is not opening and node.ref == step.ref
-            flipped = later.nodes[later.row_of[node.ref]].value != node.value
-            if node.tag == "input_checkbox" and flipped != clicked:
-                raise UnsupportedRecording("checkboxes do not follow")
-            if clicked and later.nodes[later.row_of[node.ref]].value != "checked" and node.tag == "input_radio":
-                raise UnsupportedRecording("checkboxes do not follow")
+            value = later.nodes[later.row_of[node.ref]].value
+            if not _reproduced(node, value, clicked=action is not None and node.ref == action.ref):
+                raise UnsupportedRecording("checkbox states not reproduced")
 
 
-def _flipped(node: Node, later: Screen) -> bool:
-    """Whether a checkbox changed, or a radio button was switched on (another always goes off with it)."""
-    row = later.row_of.get(node.ref)
-    value = node.value if row is None else later.nodes[row].value
-    return value != node.value and (node.tag == "input_checkbox" or value == "checked")
+def _reproduced(node: Node, value: str, *, clicked: bool) -> bool:
+    if node.tag == "input_checkbox":
+        return clicked == (value != node.value)
+    return not clicked or value == "checked"
 
 
-def _holds(box: tuple[float, float, float, float], x: float, y: float) -> bool:
-    return box[0] <= x <= box[0] + box[2] and box[1] <= y <= box[1] + box[3]
-
-
-def _distance(box: tuple[float, float, float, float], x: float, y: float) -> float:
-    """From a point to the nearest point of a box, px."""
-    return math.hypot(max(box[0] - x, 0.0, x - box[0] - box[2]), max(box[1] - y, 0.0, y - box[1] - box[3]))
+def _produces_click(context: GestureContext) -> bool:
+    gesture, following = context.gesture, context.following
+    return (
+        gesture.kind is GestureKind.KEYS
+        and following is not None
+        and following.kind is GestureKind.KEY_CLICK
+        and _ref(following.target) == _ref(gesture.down)
+    )
 
 
 def _ref(node: Node | None) -> int | None:

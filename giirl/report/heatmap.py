@@ -1,4 +1,4 @@
-"""A grid's numbers as a map of cells, in whatever colours the reader's screen has."""
+"""Heat maps of grid layouts as SVG coordinates. The template adds the colours."""
 
 from __future__ import annotations
 
@@ -8,29 +8,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from giirl.figures import Panel
-from giirl.report.overlay import number
+from giirl.report.overlay import format_reward
 from gridcraft.layouts import COLOURS, WALL, Layout
 
-CELL = 20  # the side of a cell in the picture
+CELL = 20  # side of a cell in SVG units
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cell:
-    """One cell of a map; `colour` is the region it belongs to, "" for none."""
+    """One cell of a heat map. `colour` is that of its region, "" outside regions."""
 
     x: int
     y: int
     wall: bool
-    heat: float  # from 0, the lowest number of all maps, to 1, the highest
+    heat: float  # from 0, the lowest value of all maps, to 1, the highest
     colour: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heat:
-    """One map."""
+    """One heat map."""
 
     title: str
-    says: str  # for a reader who does not see it
+    description: str  # for screen readers
     width: int
     height: int
     cells: tuple[Cell, ...]
@@ -38,7 +38,7 @@ class Heat:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Maps:
-    """Maps on one scale."""
+    """Heat maps of one layout on a common colour scale; `low` and `high` are its ends."""
 
     layout: str
     low: str
@@ -47,13 +47,13 @@ class Maps:
 
 
 def draw_heat(layout: Layout, panels: Sequence[Panel]) -> Maps:
-    """Each panel as a map of the layout."""
-    every = np.concatenate([panel.values[np.isfinite(panel.values)] for panel in panels])
-    low, high = float(every.min()), float(every.max())
+    """Draw each panel as a heat map of the layout."""
+    values = np.concatenate([panel.values[np.isfinite(panel.values)] for panel in panels])
+    low, high = float(values.min()), float(values.max())
     return Maps(
         layout=layout.name,
-        low=number(low),
-        high=number(high),
+        low=format_reward(low),
+        high=format_reward(high),
         maps=tuple(_heat(layout, panel, low, high) for panel in panels),
     )
 
@@ -67,9 +67,11 @@ def _heat(layout: Layout, panel: Panel, low: float, high: float) -> Heat:
         colour = COLOURS[region - 1] if region > 0 else ""
         cells.append(Cell(x=CELL * column, y=CELL * row, wall=region == WALL, heat=round(heat, 3), colour=colour))
     means = [
-        f"{colour} {number(float(panel.values[layout.cells == region].mean()))}"
+        f"{colour} {format_reward(float(panel.values[layout.cells == region].mean()))}"
         for region, colour in enumerate(COLOURS, start=1)
         if (layout.cells == region).any()
     ]
-    says = f"{panel.title} Mean reward by region: {', '.join(means)}."
-    return Heat(title=panel.title, says=says, width=CELL * columns, height=CELL * rows, cells=tuple(cells))
+    description = f"{panel.title} Mean reward by region: {', '.join(means)}."
+    return Heat(
+        title=panel.title, description=description, width=CELL * columns, height=CELL * rows, cells=tuple(cells)
+    )

@@ -1,4 +1,4 @@
-"""A run's policy and reward looked at on fresh pages, step by step, under the page's instruction and under another."""
+"""Inspect a run's policy and reward on fresh pages, step by step, under the page's own instruction and another one."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from actors.agents import PolicyAgent
 from actors.browser import open_browser
 from browser_farm.farm import ChromeFarm
 from giirl.analysis.swaps import renamed
-from giirl.report.element_rewards import EpisodeView, Frame, ScoredPage, value_elements
-from giirl.report.overlay import Box, window_of
+from giirl.report.element_rewards import EpisodeView, Frame, ScoredPage, score_elements
+from giirl.report.overlay import Box, visible_area
 from giirl_core.config import Config
 from giirl_core.metrics import Metrics
 from giirl_core.nets.language import load_vectors
@@ -20,18 +20,18 @@ from giirl_core.nets.parameters import load_net
 from giirl_core.nets.reward import build_policy, build_reward
 from giirl_core.types import Browser, Command, EpisodeSpec, Goal, Observation, Outcome, Purpose, Weights, page_seed
 
-DOTS = 2.0  # of a picture per CSS px
+PIXEL_RATIO = 2.0  # image pixels per CSS px in screenshots
 TAB = 0
-LARGEST_SEED = 1 << 53  # JavaScript keeps no larger number exact
+MAX_SEED = 1 << 53  # largest integer that JavaScript represents exactly
 
 
 class Inspector:
-    """Plays greedily, one page at a time. `reward` is None where nothing of the kind was learned."""
+    """Plays the greedy policy, one page at a time. `reward` is None for algorithms that learn no reward."""
 
     def __init__(self, config: Config, policy: Weights, reward: Weights | None, metrics: Metrics) -> None:
         net = build_policy(config)
         load_net(net, policy)
-        self._choose = PolicyAgent(net, load_vectors(config.net.vectors), version=policy.version, greedy=True)
+        self._agent = PolicyAgent(net, load_vectors(config.net.vectors), version=policy.version, greedy=True)
         self._reward = build_reward(config, reward) if reward is not None else None
         self._config = config
         self._browser = open_browser(replace(config, actors=replace(config.actors, tabs=1)), metrics)
@@ -43,9 +43,10 @@ class Inspector:
         self._browser.close()
 
     def strips(self, task: str, count: int) -> Iterator[EpisodeView]:
-        """The first `count` pages of a task that inspection has for this run, played to their ends.
+        """Play the first `count` inspection pages of a task to the end.
 
-        The other instruction names another element of the page; where that cannot be, it is the next page's.
+        The other instruction names another element of the page. Where that is impossible, it is the instruction of
+        the next page that has a different one.
         """
         specs = [
             EpisodeSpec(task=task, seed=page_seed(Purpose.INSPECT, self._config.seed, i)) for i in range(count + 1)
@@ -55,55 +56,56 @@ class Inspector:
             yield self._play(spec, [goal for goal in goals[number:] + goals[:number] if goal != goals[number]])
 
     def page(self, spec: EpisodeSpec, other: Goal | None) -> EpisodeView:
-        """One page as it opens, under its own instruction and under `other`, or one that names another element."""
-        if not 0 <= spec.seed < LARGEST_SEED:
+        """The first step of one page, under its own instruction and under `other`.
+
+        By default the other instruction names another element of the page. ValueError for a seed out of range.
+        """
+        if not 0 <= spec.seed < MAX_SEED:
             raise ValueError(f"the page seed {spec.seed} is out of range: wanted 0 to 2**53 - 1")
-        seen = self._open(spec)
-        swap = renamed(seen)
-        frame = self._look(seen, other or (swap.goal if swap else None))
+        observation = self._open(spec)
+        swap = renamed(observation)
+        frame = self._frame(observation, other or (swap.goal if swap else None))
         return EpisodeView(task=spec.task, seed=spec.seed, frames=(frame,))
 
     def _open(self, spec: EpisodeSpec) -> Observation:
         return self._browser.reset({TAB: spec})[TAB]
 
     def _play(self, spec: EpisodeSpec, others: Sequence[Goal]) -> EpisodeView:
-        seen: Observation | None = self._open(spec)
-        assert seen is not None
-        swap = renamed(seen)
+        observation: Observation | None = self._open(spec)
+        assert observation is not None
+        swap = renamed(observation)
         other = swap.goal if swap is not None else next(iter(others), None)
         frames: list[Frame] = []
         while True:
-            assert seen is not None
-            frames.append(frame := self._look(seen, other))
-            action, last = frame.own.choice, len(frames) == self._config.step_limit
-            trouble, outcome = "there is nothing on the page to act on", None
+            assert observation is not None
+            frames.append(frame := self._frame(observation, other))
+            action, last = frame.own.policy_action, len(frames) == self._config.step_limit
+            error, outcome = "the page has no element to act on", None
             if action is not None:
-                result = self._browser.step({TAB: Command.of(action, seen, last=last)})[TAB]
-                trouble, seen = result.lost, result.observation
+                result = self._browser.step({TAB: Command.of(action, observation, last=last)})[TAB]
+                error, observation = result.lost, result.observation
                 if result.done or last:
                     outcome = Outcome(raw_reward=result.raw_reward, ended=result.done)
-            if trouble or outcome is not None:
-                return EpisodeView(
-                    task=spec.task, seed=spec.seed, frames=tuple(frames), outcome=outcome, trouble=trouble
-                )
+            if error or outcome is not None:
+                return EpisodeView(task=spec.task, seed=spec.seed, frames=tuple(frames), outcome=outcome, error=error)
 
-    def _look(self, seen: Observation, other: Goal | None) -> Frame:
+    def _frame(self, observation: Observation, other: Goal | None) -> Frame:
         return Frame(
-            page=seen.page,
-            picture=_picture(self._browser, window_of(seen.page)),
-            own=self._judge(seen),
-            other=self._judge(replace(seen, goal=other)) if other is not None else None,
+            page=observation.page,
+            picture=_screenshot(self._browser, visible_area(observation.page)),
+            own=self._score(observation),
+            other=self._score(replace(observation, goal=other)) if other is not None else None,
         )
 
-    def _judge(self, seen: Observation) -> ScoredPage:
-        choice = None
-        if seen.page.leaf.any():
-            choice = self._choose([seen], np.zeros((1, 3), np.float32))[0].action
-        best = value_elements(self._reward, seen.page, seen.goal) if self._reward is not None else ()
-        return ScoredPage(goal=seen.goal, choice=choice, best=best)
+    def _score(self, observation: Observation) -> ScoredPage:
+        page, goal, action = observation.page, observation.goal, None
+        if page.leaf.any():
+            action = self._agent.select_actions([observation], np.zeros((1, 3), np.float32))[0].action
+        best = score_elements(self._reward, page, goal) if self._reward is not None else ()
+        return ScoredPage(goal=goal, policy_action=action, best=best)
 
 
-def _picture(browser: Browser, window: Box) -> bytes | None:
+def _screenshot(browser: Browser, area: Box) -> bytes | None:
     if not isinstance(browser, ChromeFarm):
         return None
-    return browser.picture(TAB, (window.x, window.y, window.width, window.height), scale=DOTS) or None
+    return browser.picture(TAB, (area.x, area.y, area.width, area.height), scale=PIXEL_RATIO) or None

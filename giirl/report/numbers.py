@@ -1,4 +1,4 @@
-"""The numbers of a run for its report: what it was, what came out, and the curves on the way there."""
+"""The facts, result tables and training curves of a run for its report."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from giirl_core.config import Config
 
 ACCURACY = "d_accuracy_"
 SOURCES = {
-    "expert": "the expert's steps",
+    "expert": "expert steps",
     "rollouts": "new rollouts",
-    "replay": "older rollouts",
-    "policy_on_expert_states": "the policy on the expert's pages",
+    "replay": "replayed rollouts",
+    "policy_on_expert_states": "policy actions in expert states",
     "random_actions": "random actions",
-    "wrong_goal": "the expert under a wrong instruction",
+    "wrong_goal": "expert steps, wrong instruction",
 }
 TITLES = {
-    "d_loss": "Loss of the discriminator, nats",
+    "d_loss": "Discriminator loss, nats",
     "d_penalty": "Gradient penalty",
-    "p_loss": "Loss of the policy",
-    "p_entropy": "Entropy of the policy, nats",
-    "p_distance": "Policy from what the reward asks for, nats",
-    "p_value_error": "Squared error of the value",
-    "p_reward": "Learned reward of what was played",
+    "p_loss": "Policy loss",
+    "p_entropy": "Policy entropy, nats",
+    "p_distance": "Cross-entropy to soft optimum, nats",
+    "p_value_error": "Squared value error",
+    "p_reward": "Learned reward of the rollouts",
     "p_ratio": "Importance ratio",
 }
 COUNTS = frozenset({"step", "env_steps", "episodes", "seconds"})
@@ -38,7 +38,7 @@ Result = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableView:
-    """Rows of text; the first column names the row, the others are numbers."""
+    """A table of text; the first column is the row header, the other columns are numbers."""
 
     caption: str
     head: tuple[str, ...]
@@ -47,7 +47,7 @@ class TableView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Group:
-    """Charts and tables that belong together."""
+    """A section of the report: a title, a description, charts and tables."""
 
     title: str
     words: str
@@ -56,19 +56,19 @@ class Group:
 
 
 def lead_of(config: Config, points: Points, result: Result | None) -> str:
-    """The run in one sentence."""
+    """A one-sentence summary of the run."""
     what = "GIIRL" if config.algorithm == "giirl" else config.algorithm.replace("_", " ").capitalize()
     where = f"{len(config.tasks)} MiniWoB tasks" if config.world == "miniwob" else "LanguageGridCraft"
     if config.world == "miniwob" and config.browser == "fake":
-        where = f"{len(config.tasks)} tasks of the fake browser, which are no result"
+        where = f"{len(config.tasks)} tasks of the fake browser (not a benchmark result)"
     step = points[-1]["step"] if points else 0
     if result is not None:
         return f"{what} on {where}: finished after {step} iterations."
-    return f"{what} on {where}: not finished; what there is after {step} of {config.iterations} iterations."
+    return f"{what} on {where}: unfinished, after {step} of {config.iterations} iterations."
 
 
 def facts_of(config: Config, points: Points, result: Result | None, demonstrations: int | None) -> dict[str, str]:
-    """What a reader asks first."""
+    """The key facts of the run, by name. Unknown facts are left out."""
     last = points[-1] if points else {}
     result = result or {}
     facts = {
@@ -78,16 +78,16 @@ def facts_of(config: Config, points: Points, result: Result | None, demonstratio
         "demonstrations": _count(demonstrations),
         "environment steps": _count(result.get("env_steps", last.get("env_steps"))),
         "training episodes": _count(result.get("training_episodes", last.get("episodes"))),
-        "seconds": _count(result.get("seconds", last.get("seconds"))),
-        "SHA-256 of the nets": str(result.get("parameters_sha256", ""))[:12],
+        "run time, seconds": _count(result.get("seconds", last.get("seconds"))),
+        "SHA-256 of the networks": str(result.get("parameters_sha256", ""))[:12],
     }
     if config.world == "miniwob":
-        facts |= {"browser": config.browser, "runtime": config.runtime, "demonstrations from": config.demos.source}
+        facts |= {"browser": config.browser, "runtime": config.runtime, "demonstration source": config.demos.source}
     return {name: value for name, value in facts.items() if value}
 
 
 def result_tables(config: Config, result: Result | None, thesis: Mapping[str, float]) -> list[TableView]:
-    """How good it is, beside chance and what the thesis reports."""
+    """The evaluation result, compared with the random baseline and with the success rates of the thesis (Luo 2019)."""
     if result is None:
         return []
     if config.world == "gridcraft":
@@ -104,19 +104,19 @@ def result_tables(config: Config, result: Result | None, thesis: Mapping[str, fl
         for task, own in result["tasks"].items()
     )
     tables = [_by_goal(result)] if any("held_out_goals" in own for own in result["tasks"].values()) else []
-    head = ("task", "chance", "success", "95 % interval", "pages", "thesis")
-    return [TableView(caption="Greedy policy on fresh pages, % that succeed", head=head, rows=rows), *tables]
+    head = ("task", "random baseline", "success rate", "95 % interval", "pages", "Luo (2019)")
+    return [TableView(caption="Success rate of the greedy policy on fresh pages, %", head=head, rows=rows), *tables]
 
 
 def _by_goal(result: Result) -> TableView:
-    """Where goals were held out of training: success under those it saw, and under the others."""
+    """Success rates under training goals and under goals that were held out of training."""
     rows = tuple(
         (task, *(f"{100 * own[goals]['success']:.1f}" for goals in ("trained_goals", "held_out_goals")))
         for task, own in result["tasks"].items()
         if "held_out_goals" in own
     )
-    head = ("task", "goals of the training", "goals held out")
-    return TableView(caption="The same by instruction, % that succeed", head=head, rows=rows)
+    head = ("task", "training goals", "held-out goals")
+    return TableView(caption="Success rate by goals, %", head=head, rows=rows)
 
 
 def _returns(result: Result) -> TableView:
@@ -124,51 +124,51 @@ def _returns(result: Result) -> TableView:
         (goal, f"{own['return_over_optimal']:.3f}", f"{own['reoptimised_over_optimal']:.3f}")
         for goal, own in result["goals"].items()
     )
-    head = ("instruction", "the policy", "re-optimised")
+    head = ("instruction", "learned policy", "re-optimised policy")
     return TableView(
-        caption="Return; 1 is optimal, 0 chance. Re-optimised: on the learned reward alone", head=head, rows=rows
+        caption="Return: 1 optimal, 0 random. Re-optimised: by planning on the learned reward", head=head, rows=rows
     )
 
 
 def result_lines(config: Config, result: Result | None) -> list[str]:
-    """What stands above the table."""
+    """Sentences above the result tables."""
     if result is None:
-        return ["The run has not come to its end, so nothing was measured."]
+        return ["The run is not finished, so it has no evaluation result."]
     if config.world == "gridcraft":
         avoid = result["avoid"]
         return [
-            f"The reward against the truth: Spearman {result['spearman']:.2f} and Pearson {result['pearson']:.2f} with "
-            f"the optimal value, EPIC distance {result['epic']:.2f}. An agent optimised on the reward alone enters the "
-            f"avoided colour in {100 * avoid['entered']:.1f} % of episodes, the expert in "
-            f"{100 * avoid['expert_entered']:.1f} %."
+            f"Learned reward: correlation with the optimal value {result['spearman']:.2f} (Spearman) and "
+            f"{result['pearson']:.2f} (Pearson), EPIC distance to the true reward {result['epic']:.2f}. The policy "
+            f"re-optimised on it enters the avoided colour in {100 * avoid['entered']:.1f} % of episodes; the expert "
+            f"in {100 * avoid['expert_entered']:.1f} %."
         ]
     return []
 
 
 def success_group(config: Config, points: Points, result: Result | None, demonstrations: Mapping[str, int]) -> Group:
-    """True success while training, task by task; for grids the return, instruction by instruction."""
+    """The true success rate during training by task; for grids the return by instruction."""
     steps = [point["env_steps"] for point in points]
     if config.world == "gridcraft":
         goals = list(points[0]["returns"])
         charts = [draw_chart(g, [Line(name="return", x=steps, y=[p["returns"][g] for p in points])]) for g in goals]
-        words = "Return of the policy as it explores, as a fraction of optimal above chance, against environment steps."
-        return Group(title="Return", words=words, charts=tuple(charts))
-    chance = {task: own["random"] for task, own in result["tasks"].items()} if result is not None else {}
+        words = "Normalised return (1 optimal, 0 random) of the exploring policy, against environment steps."
+        return Group(title="Return during training", words=words, charts=tuple(charts))
+    random = {task: own["random"] for task, own in result["tasks"].items()} if result is not None else {}
     charts = [
         draw_chart(
             task,
-            [Line(name="success", x=steps, y=_moving([point["outcomes"].get(task, []) for point in points]))],
-            levels=[Level(name="chance", y=chance[task])] if task in chance else [],
+            [Line(name="success rate", x=steps, y=_moving([point["outcomes"].get(task, []) for point in points]))],
+            levels=[Level(name="random baseline", y=random[task])] if task in random else [],
             unit="%",
         )
         for task in config.tasks
     ]
     words = (
-        f"Share of the last {WINDOW} training episodes of a task that succeeded by the page's own reckoning, in %, "
-        "against environment steps. The policy explores here, and never sees these numbers."
+        f"Success rate of the last {WINDOW} training episodes of each task, in %, as reported by the page, "
+        "against environment steps. The policy explores during training and never sees these numbers."
     )
     return Group(
-        title="Success while training",
+        title="Success rate during training",
         words=words,
         charts=tuple(charts),
         tables=(_outcomes(config, points, result, demonstrations),),
@@ -176,7 +176,7 @@ def success_group(config: Config, points: Points, result: Result | None, demonst
 
 
 def learning_group(points: Points) -> Group:
-    """What the updates told: the discriminator's accuracy by source, then everything else that was a number."""
+    """Statistics of the updates: discriminator accuracy by source, then every other number that varies."""
     steps = [point["env_steps"] for point in points]
     names = [name for name in points[-1] if name not in COUNTS and isinstance(points[-1][name], int | float)]
     curves = {name: [float(point.get(name, float("nan"))) for point in points] for name in names}
@@ -184,13 +184,13 @@ def learning_group(points: Points) -> Group:
     charts = []
     if sources:
         lines = [Line(name=SOURCES.get(name, _plain(name)), x=steps, y=_smooth(y)) for name, y in sources.items()]
-        charts.append(draw_chart("What the discriminator judges rightly, %", lines, unit="%"))
+        charts.append(draw_chart("Discriminator accuracy by source, %", lines, unit="%"))
     charts += [
         draw_chart(TITLES.get(name, _plain(name)), [Line(name=_plain(name), x=steps, y=y)])
         for name, y in curves.items()
         if min(y) != max(y)
     ]
-    return Group(title="Learning", words="Against environment steps.", charts=tuple(charts))
+    return Group(title="Training statistics", words="Plotted against environment steps.", charts=tuple(charts))
 
 
 def _outcomes(config: Config, points: Points, result: Result | None, demonstrations: Mapping[str, int]) -> TableView:
@@ -213,17 +213,17 @@ def _outcomes(config: Config, points: Points, result: Result | None, demonstrati
         "task",
         "demonstrations",
         "episodes",
-        "succeeded, %",
-        f"first {WINDOW}",
-        f"last {WINDOW}",
-        "lowest, last third",
+        "success rate, %",
+        f"first {WINDOW}, %",
+        f"last {WINDOW}, %",
+        "lowest, %",
     )
-    caption = f"Training episodes by outcome; the lowest is of {WINDOW} in a row in the last third of the run"
+    caption = f"Success rate in training. Lowest: over any {WINDOW} consecutive episodes in the last third of the run"
     return TableView(caption=caption, head=head, rows=tuple(rows))
 
 
 def _moving(outcomes: Sequence[Sequence[int]]) -> list[float]:
-    """After each iteration the mean of the last WINDOW outcomes; nan before the first."""
+    """The mean of the last WINDOW outcomes after each iteration; nan before the first outcome."""
     recent = deque[int](maxlen=WINDOW)
     means = []
     for fresh in outcomes:
@@ -233,7 +233,7 @@ def _moving(outcomes: Sequence[Sequence[int]]) -> list[float]:
 
 
 def _smooth(values: Sequence[float]) -> list[float]:
-    """Mean of the last twentieth of the points; one batch alone says little."""
+    """Moving average over a twentieth of the points, because single batches are noisy."""
     width = max(1, len(values) // 20)
     return [sum(values[max(0, i + 1 - width) : i + 1]) / min(width, i + 1) for i in range(len(values))]
 

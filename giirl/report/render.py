@@ -1,4 +1,4 @@
-"""Pages for people: one file of HTML each, with everything in it, and every text of a web page shown as text."""
+"""Render reports as self-contained HTML files. All content is escaped, including text from web pages."""
 
 from __future__ import annotations
 
@@ -16,39 +16,39 @@ from giirl.report.element_rewards import (
     Scale,
     ScoredAction,
     ScoredPage,
+    by_reward,
     element_name,
-    ranked,
-    shortened,
+    truncate,
 )
-from giirl.report.overlay import MOST_LABELS, Overlay, draw_shot, number
+from giirl.report.overlay import MAX_LABELS, Overlay, draw_overlay, format_reward
 from giirl_core.types import Goal, Verb
 
-OWN, OTHER = "its own instruction", "another instruction"
+OWN, OTHER = "Own instruction", "Swapped instruction"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SideView:
     """One step under one of the two instructions."""
 
-    whose: str
-    shot: Overlay
-    does: str
-    alt: str
+    heading: str
+    overlay: Overlay
+    action: str
+    alt: str  # for screen readers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameView:
-    """One step."""
+    """One step of an episode."""
 
     title: str
-    picture: str  # data: address of the PNG, "" where there is none
-    halves: tuple[SideView, ...]
+    picture: str  # data URL of the PNG, "" without a screenshot
+    sides: tuple[SideView, ...]
     rows: tuple[tuple[str, tuple[str, ...]], ...]  # element, its reward under each instruction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StripView:
-    """One episode."""
+    """One episode as a film strip, ready for the template."""
 
     task: str
     seed: int
@@ -58,7 +58,7 @@ class StripView:
 
 
 def render(template: str, **content: Any) -> str:
-    """A whole page. Nothing in `content` is taken for HTML, whatever it holds."""
+    """Render a template with escaped `content`. A missing name is an error (StrictUndefined)."""
     environment = Environment(
         loader=PackageLoader("giirl.report"),
         autoescape=True,
@@ -70,63 +70,64 @@ def render(template: str, **content: Any) -> str:
     return environment.get_template(template).render(**sizes, **content) + "\n"
 
 
-def data_address(png: bytes) -> str:
-    """A picture as the page carries it."""
+def data_url(png: bytes) -> str:
+    """A PNG as a data URL."""
     return "data:image/png;base64," + base64.b64encode(png).decode()
 
 
 def scale_view(scale: Scale) -> dict[str, str]:
-    """The numbers under the legend."""
+    """The formatted values that the legend shows."""
     ends = {"low": scale.low, "middle": scale.middle, "high": scale.high}
-    return {name: number(reward) for name, reward in ends.items()} | {"most": str(MOST_LABELS)}
+    return {name: format_reward(reward) for name, reward in ends.items()} | {"max_labels": str(MAX_LABELS)}
 
 
 def strip_view(strip: EpisodeView, scale: Scale) -> StripView:
-    """An episode ready to be drawn."""
-    words, kind = _outcome(strip)
+    """Prepare an episode for the template."""
+    outcome, outcome_class = _outcome(strip)
     frames = tuple(_frame(strip.task, step, frame, scale) for step, frame in enumerate(strip.frames, 1))
-    return StripView(task=strip.task, seed=strip.seed, outcome=words, outcome_class=kind, frames=frames)
+    return StripView(task=strip.task, seed=strip.seed, outcome=outcome, outcome_class=outcome_class, frames=frames)
 
 
 def _outcome(strip: EpisodeView) -> tuple[str, str]:
-    if strip.trouble:
-        return f"broke off: {strip.trouble}", "lost"
+    """The outcome as text, and its CSS class."""
+    if strip.error:
+        return f"not finished: {strip.error}", "lost"
     if strip.outcome is None:
         return "", ""
     if strip.outcome.success:
         return "succeeded", "won"
-    how = f"the page pays {strip.outcome.raw_reward:g}" if strip.outcome.ended else "the step limit came first"
-    return f"failed: {how}", "lost"
+    reason = f"page reward {strip.outcome.raw_reward:g}" if strip.outcome.ended else "step limit reached"
+    return f"failed: {reason}", "lost"
 
 
 def _frame(task: str, step: int, frame: Frame, scale: Scale) -> FrameView:
-    judged = {OWN: frame.own} | ({OTHER: frame.other} if frame.other is not None else {})
+    scored = {OWN: frame.own} | ({OTHER: frame.other} if frame.other is not None else {})
     return FrameView(
         title=f"Step {step}",
-        picture=data_address(frame.picture) if frame.picture is not None else "",
-        halves=tuple(_half(f"{task}, step {step}", frame, whose, one, scale) for whose, one in judged.items()),
-        rows=_rows(frame, list(judged.values())),
+        picture=data_url(frame.picture) if frame.picture is not None else "",
+        sides=tuple(_side(f"{task}, step {step}", frame, heading, one, scale) for heading, one in scored.items()),
+        rows=_rows(frame, list(scored.values())),
     )
 
 
-def _half(where: str, frame: Frame, whose: str, judged: ScoredPage, scale: Scale) -> SideView:
-    shot = draw_shot(frame.page, judged, scale)
-    verb = "The policy takes" if whose == OWN else "The policy would take"
+def _side(step: str, frame: Frame, heading: str, scored: ScoredPage, scale: Scale) -> SideView:
+    overlay = draw_overlay(frame.page, scored, scale)
+    prefix = "Policy action" if heading == OWN else "Policy action (not executed)"
     return SideView(
-        whose=f"Under {whose}",
-        shot=shot,
-        does=f"{verb}: {shot.does}",
-        alt=f"The page of {where}, under {whose}: {judged.goal.utterance} {shot.says}",
+        heading=heading,
+        overlay=overlay,
+        action=f"{prefix}: {overlay.action}",
+        alt=f"Page of {step}. {heading}: {scored.goal.utterance} {overlay.description}",
     )
 
 
 def _cell(one: ScoredAction, goal: Goal) -> str:
-    """A reward, and the words that earn it where typing them does."""
-    words = f"“{shortened(one.action.text(goal))}” " if one.action.verb is Verb.TYPE else ""
-    return words + number(one.reward)
+    """A reward, preceded by the typed words if the action types."""
+    words = f"“{truncate(one.action.text(goal))}” " if one.action.verb is Verb.TYPE else ""
+    return words + format_reward(one.reward)
 
 
-def _rows(frame: Frame, judged: Sequence[ScoredPage]) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    columns = [{one.action.element: _cell(one, each.goal) for one in each.best} for each in judged]
-    rows = [one.action.element for one in ranked(frame.own.best)]
+def _rows(frame: Frame, scored: Sequence[ScoredPage]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    columns = [{one.action.element: _cell(one, side.goal) for one in side.best} for side in scored]
+    rows = [one.action.element for one in by_reward(frame.own.best)]
     return tuple((element_name(frame.page, row), tuple(column[row] for column in columns)) for row in rows)

@@ -1,1 +1,1 @@
-"""run."""
+"""One run: its folder, demonstrations, training in each runtime, and evaluation."""

@@ -114,5 +114,5 @@ def chosen(episodes: list[Episode], where: str, config: Config) -> list[Episode]
             raise ValueError(f"{where} has no successful demonstration of {task!r}; it has {', '.join(have) or 'none'}")
         kept += mine[: config.demos.per_task]
     for episode in kept:
-        episode.trajectory.check_learned()
+        episode.trajectory.check_learnable()
     return kept

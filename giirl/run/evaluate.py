@@ -39,11 +39,11 @@ def evaluate(config: Config, policy: Weights, metrics: Metrics, display: Display
             config,
             browser,
             RandomAgent(),
-            Purpose.FLOOR,
+            Purpose.RANDOM,
             config.evaluate.random_episodes,
             metrics,
             display,
-            "random floor",
+            "random baseline",
         )
     finally:
         browser.close()

@@ -79,7 +79,7 @@ def _row(played: Sequence[Episode]) -> dict[str, Any]:
         "median_steps": float(np.median(steps)),
         "most_steps": max(steps),
         "verbs": verbs(played),
-        "learnable": all(action.learned for episode in won for action in episode.trajectory.actions),
+        "learnable": all(action.learnable for episode in won for action in episode.trajectory.actions),
     }
 
 

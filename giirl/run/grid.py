@@ -51,7 +51,7 @@ class GridRun:
     @property
     def env_steps(self) -> int:
         """Of all episodes that were learned from, chance's among them."""
-        return self.learner.chance_env_steps + self.source.env_steps
+        return self.learner.random_env_steps + self.source.env_steps
 
     @property
     def late_minimum(self) -> float:
@@ -109,7 +109,7 @@ def open_run(config: Config, checkpoint: Path | None = None) -> GridRun:
     since_s = time.process_time()
     world = build_world(layouts_of(config.grid))
     learner = GridLearner(config, world, pairs_of(config.grid))
-    source = GridSource(world, learner.sight, learner.goals, learner.acting, learner.rng)
+    source = GridSource(world, learner.features, learner.goals, learner.behaviour_policy, learner.rng)
     run = GridRun(learner=learner, source=source, curve=[], cpu_s=time.process_time() - since_s)
     if checkpoint is not None:
         run.load(checkpoint)

@@ -63,7 +63,7 @@ def learned_tables(config: Config, learner: GridLearner, world: World, pair: Pai
     sight = GridFeatures(world, [plain_sentence(pair)], learner.bag, config.grid)
     form, clip = config.discriminator.reward, config.discriminator.clip
     return Tables(
-        policy=policy_table(learner.acting, sight, 0),
+        policy=policy_table(learner.behaviour_policy, sight, 0),
         cloning=policy_table(learner.cloner.net, sight, 0),
         reward=reward_table(learner.discriminator.net, sight, 0, form, clip),
     )
@@ -102,7 +102,7 @@ def policy_fractions(config: Config, learner: GridLearner, world: World) -> list
     sight = GridFeatures(world, [plain_sentence(pair) for pair in learner.pairs], learner.bag, config.grid)
     known = [truth(world, pair) for pair in learner.pairs]
     return [
-        normalized_return(world, policy_table(learner.acting, sight, i), true.reward, known=true.bounds)
+        normalized_return(world, policy_table(learner.behaviour_policy, sight, i), true.reward, bounds=true.bounds)
         for i, true in enumerate(known)
     ]
 
@@ -117,7 +117,7 @@ def _measure(config: Config, learner: GridLearner, world: World, pair: Pair) -> 
     swapped = learned_tables(config, learner, world, Pair(pair.avoid, pair.goal)).reward
     agent, score = reoptimise(world, tables.reward), state_mean(tables.reward)
     policy, cloning, reoptimised = (
-        normalized_return(world, pi, true.reward, known=true.bounds) for pi in (tables.policy, tables.cloning, agent)
+        normalized_return(world, pi, true.reward, bounds=true.bounds) for pi in (tables.policy, tables.cloning, agent)
     )
     correlation = value_correlation(world, tables.reward, true.value)
     steps = occupancy(world, true.expert).sum(axis=0)[:, None] * true.expert

@@ -20,7 +20,7 @@ from giirl.run.folder import RunFolder
 from giirl_core.config import Config
 from giirl_core.config_file import dump_config
 from giirl_core.metrics import Metrics
-from giirl_core.processes.supervision import START_S, Call, Platform, Process, SupervisedProcess
+from giirl_core.processes.supervision import START_TIMEOUT_S, Call, Platform, Process, SupervisedProcess
 from giirl_core.types import Episode, Weights
 from giirl_core.wire.transport import Keys
 from learner.stream.admission import IngestLimits
@@ -55,10 +55,10 @@ class WorkersRuntime:
         self._reward: Any = None
         self._held = IngestSnapshot.load(resume) if resume else IngestSnapshot()
         self._taken: int = json.loads((resume / RUNTIME).read_text())["taken"] if resume else 0
-        known = [mark.incarnation for mark in self._held.marks]
+        known = [offsets.incarnation for offsets in self._held.offsets]
         self._incarnation = max([int(time.time()), *(incarnation + 1 for incarnation in known)])  # they only grow
         self._keys = (
-            None if platform.single_node else Keys.keep(folder.keys)
+            None if platform.single_node else Keys.load_or_create(folder.keys)
         )  # beyond loopback nobody talks without them
         self._ingest = Ingest(
             folder.identity,
@@ -68,11 +68,11 @@ class WorkersRuntime:
             limits=IngestLimits(credits=config.stream.credits, max_lag=config.stream.policy_lag),
             keys=self._keys,
             metrics=metrics,
-            held=self._held,
+            snapshot=self._held,
             held_out=config.held_out_goals,
         )
         self._wanted = folder.wanted_actors() or config.actors.count
-        for mark in self._held.marks:  # of actors that nobody wants any more
+        for mark in self._held.offsets:  # of actors that nobody wants any more
             if mark.actor not in {f"actor-{index}" for index in range(self._wanted)}:
                 self._ingest.retire(mark.actor, read_counts(self._tally(mark.actor)))
         self._services: list[SupervisedProcess] = []
@@ -132,12 +132,12 @@ class WorkersRuntime:
 
     def committed(self) -> None:
         """The last `save` is safe on the disk: actors may forget what it covers."""
-        self._ingest.committed(self._held)
+        self._ingest.commit(self._held)
 
     def drain(self) -> None:
         """Let the actors hand over what they have finished, and end."""
         for actor in self._actors:
-            actor.leaving = True
+            actor.stopping = True
             actor.notify("stop", 0.0)
         self._outlast(self._actors, STOP_S)
         for actor in self._actors:
@@ -147,7 +147,7 @@ class WorkersRuntime:
         """Let the processes end; whoever does not in time is ended."""
         self.drain()
         for service in self._services:
-            service.leaving = True
+            service.stopping = True
             service.notify("stop")
         self._outlast(self._services, STOP_S)
         try:
@@ -207,15 +207,15 @@ class WorkersRuntime:
         if scorers != self._scorers:
             self._scorers = scorers
             for actor in self._actors:
-                actor.notify("follow", tuple(scorers))
+                actor.notify("set_scorers", tuple(scorers))
         for actor in self._actors:
             self._replace_if_silent(actor)
-            if actor.quarantined and not actor.leaving:
-                actor.leaving = True
+            if actor.quarantined and not actor.stopping:
+                actor.stopping = True
                 self._bury(actor)
         for service in self._services:
-            if service.stuck_s > self._config.actors.heartbeat_timeout_s:
-                service.replace(service.stuck_s, heard=True)
+            if service.load_pending_s > self._config.actors.heartbeat_timeout_s:
+                service.replace(service.load_pending_s, heartbeat_received=True)
         self._resize()
         self._check_health()
 
@@ -223,10 +223,10 @@ class WorkersRuntime:
         if actor.running is None or actor.quarantined:
             return
         begun_s, silent_s = time.monotonic() - actor.since_s, self._ingest.silent_for_s(actor.name)
-        actor.heard = silent_s < begun_s
-        patience_s = self._config.actors.heartbeat_timeout_s + (0.0 if actor.heard else START_S)
+        actor.heartbeat_received = silent_s < begun_s
+        patience_s = self._config.actors.heartbeat_timeout_s + (0.0 if actor.heartbeat_received else START_TIMEOUT_S)
         if min(begun_s, silent_s) > patience_s:
-            actor.replace(patience_s, heard=actor.heard)
+            actor.replace(patience_s, heartbeat_received=actor.heartbeat_received)
 
     def _resize(self) -> None:
         """As many actors as are wanted: the config's number, or what was asked for since."""
@@ -236,7 +236,7 @@ class WorkersRuntime:
             self._actors.append(self._start_actor(len(self._actors)))
         while len(self._actors) > self._wanted:
             leaver = self._actors.pop()
-            leaver.leaving = True
+            leaver.stopping = True
             leaver.notify("stop", LEAVE_S)
             self._leavers.append((leaver, time.monotonic() + LEAVE_S + STOP_S))
         for leaver, deadline_s in list(self._leavers):
@@ -244,15 +244,15 @@ class WorkersRuntime:
                 leaver.process.kill(restart=False)
                 self._leavers.remove((leaver, deadline_s))
                 self._bury(leaver)
-        self._metrics.workers.labels("actor").set(sum(actor.healthy for actor in self._actors))
-        self._metrics.workers.labels("reward-service").set(sum(service.healthy for service in self._services))
+        self._metrics.healthy_workers.labels("actor").set(sum(actor.healthy for actor in self._actors))
+        self._metrics.healthy_workers.labels("reward-service").set(sum(service.healthy for service in self._services))
 
     def _check_health(self) -> None:
         if not any(service.healthy for service in self._services):
-            raise RuntimeError(f"no reward service stays up: {self._services[0].quarantined}")
+            raise RuntimeError(f"no reward service stays up: {self._services[0].quarantine_reason}")
         healthy = [actor for actor in self._actors if actor.healthy]
         if len(healthy) < min(self._config.actors.min_healthy, self._wanted):
-            trouble = next(actor.quarantined for actor in self._actors if actor.quarantined)
+            trouble = next(actor.quarantine_reason for actor in self._actors if actor.quarantined)
             raise RuntimeError(
                 f"{len(healthy)} of {len(self._actors)} actors are left, "
                 f"wanted {self._config.actors.min_healthy} (actors.min_healthy): {trouble}"
@@ -260,7 +260,7 @@ class WorkersRuntime:
 
     def _troubles(self) -> str:
         """Who does not work, and why."""
-        idle = [f"{m.name}: {m.trouble}" for m in self._members if m.running is None or not m.heard]
+        idle = [f"{m.name}: {m.last_error}" for m in self._members if m.running is None or not m.heartbeat_received]
         return f"; {'; '.join(idle[:4])}; there are {self._platform.resources()}" if idle else ""
 
     def _outlast(self, members: list[SupervisedProcess], timeout_s: float) -> None:

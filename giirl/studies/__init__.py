@@ -1,1 +1,1 @@
-"""studies."""
+"""Studies: many training runs with different settings and seeds, summarised in a table or figure."""

@@ -34,8 +34,8 @@ def steps_to_optimal(
     rng = np.random.default_rng([config.seed, 1])
     goals = learner.goals.tolist()
     chance = random_steps(world, goals, config.grid.random_episodes, rng, None)
-    policy = GridSoftQ(config, learner.sight, learner.goals, chance, rng)
-    source = GridSource(world, learner.sight, learner.goals, policy.net, rng)
+    policy = GridSoftQ(config, learner.features, learner.goals, chance, rng)
+    source = GridSource(world, learner.features, learner.goals, policy.net, rng)
     frozen = torch.tensor(np.stack(rewards), dtype=torch.float32)
     true = [true_reward(world, pair) for pair in learner.pairs]
 
@@ -46,7 +46,7 @@ def steps_to_optimal(
     for _ in range(most_iterations):
         rollouts = source.take(config.rollout_batch)
         policy.update(rollouts, reward_fn(rollouts), reward_fn)
-        got = [normalized_return(world, policy_table(policy.net, learner.sight, i), r) for i, r in enumerate(true)]
+        got = [normalized_return(world, policy_table(policy.net, learner.features, i), r) for i, r in enumerate(true)]
         if np.mean(got) >= OPTIMAL:
-            return learner.chance_env_steps + source.env_steps
+            return learner.random_env_steps + source.env_steps
     return None

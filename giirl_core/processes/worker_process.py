@@ -1,4 +1,4 @@
-"""What the processes that work for a learner have in common, whoever starts them."""
+"""The base class of the worker processes (actors and reward services), independent of the platform that runs them."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ from giirl_core.metrics import Metrics
 from giirl_core.nets.language import load_vectors
 from giirl_core.wire.transport import Keys
 
-ORPHAN_S = 900.0  # without a word of any learner
-TICK_S = 0.1
+ORPHAN_TIMEOUT_S = 900.0  # a process that hears of no learner for this long exits
+TICK_S = 0.1  # between two checks of a condition
 
 
 class WorkerProcess:
-    """One process. What takes it longest is read while whoever wants this process hears that it is there."""
+    """One worker process. Slow imports and files load in the background, so that its first call returns early."""
 
     def __init__(self, config: str, keys: Keys | None) -> None:
         self._config, self._keys = parse_config(json.loads(config), "the driver's config"), keys
         self._metrics = Metrics()
         self._stopped = threading.Event()
-        self._reading = threading.Thread(target=self._read, daemon=True)
-        self._reading.start()
+        self._preload_thread = threading.Thread(target=self._preload, daemon=True)
+        self._preload_thread.start()
 
     def host(self) -> str:
-        """How the other processes of the run know this machine."""
+        """The address of this machine, as the other processes of the run see it."""
         return "127.0.0.1"
 
     def leave(self) -> None:
-        """There is nobody to work for any more."""
+        """Exit for good: there is no learner any more. Platforms override this; without one it does nothing."""
 
-    def _read(self) -> None:
-        """The words that every net needs; and torch, with one thread, since the cores are shared."""
-        words = threading.Thread(target=load_vectors, args=(self._config.net.vectors,), daemon=True)
-        words.start()
+    def _preload(self) -> None:
+        """Load the word vectors and torch. Torch gets one thread, because the processes share the cores."""
+        vectors = threading.Thread(target=load_vectors, args=(self._config.net.vectors,), daemon=True)
+        vectors.start()
         import torch
 
         torch.set_num_threads(1)
-        words.join()
+        vectors.join()

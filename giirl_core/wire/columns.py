@@ -1,7 +1,14 @@
-"""Trajectories as columns: one flat array a quantity, so that no wire and no file carries lists of rows.
+"""Trajectories in columnar form: one flat array for each quantity, concatenated over trajectories, steps and rows.
 
-Step arrays are concatenated over trajectories and page rows over pages; `steps` and `rows` say how many
-belong to each. Every string is kept once, in one UTF-8 blob, and rows name it by number.
+    column                                 length      one entry for each
+    steps                                  N           trajectory: its number of steps
+    rows, verb, element, ..., rewards      sum(steps)  step; `rows` is the number of elements of its page
+    tag, text, ..., ref, box, ...          sum(rows)   element of a page
+    characters                             -           all distinct strings, joined, in UTF-8
+    string_ends                            S           distinct string: where it ends, in characters
+
+Every distinct string is stored once; a text column holds the index of the string. The fields that a trajectory has once
+(task, goal, ...) are not in the columns but in a header, see `header_fields`.
 """
 
 from __future__ import annotations
@@ -19,7 +26,8 @@ Column: TypeAlias = NDArray[Any]
 Columns: TypeAlias = dict[str, Column]
 T = TypeVar("T")
 
-TEXTS = ("tag", "text", "value", "classes", "colour", "shape")
+TEXT_COLUMNS = ("tag", "text", "value", "classes", "colour", "shape")
+# Name -> dtype and shape of one entry.
 PER_TRAJECTORY: dict[str, tuple[str, tuple[int, ...]]] = {"steps": ("<u4", ())}
 PER_STEP: dict[str, tuple[str, tuple[int, ...]]] = {
     "rows": ("<u4", ()),
@@ -35,7 +43,7 @@ PER_STEP: dict[str, tuple[str, tuple[int, ...]]] = {
     "rewards": ("<f4", ()),
 }
 PER_ROW: dict[str, tuple[str, tuple[int, ...]]] = {
-    **dict.fromkeys(TEXTS, ("<u4", ())),
+    **dict.fromkeys(TEXT_COLUMNS, ("<u4", ())),
     "ref": ("<i4", ()),
     "parent": ("<i2", ()),
     "box": ("<f4", (4,)),
@@ -43,12 +51,12 @@ PER_ROW: dict[str, tuple[str, tuple[int, ...]]] = {
     "tampered": ("|b1", ()),
 }
 STRINGS: dict[str, tuple[str, tuple[int, ...]]] = {"characters": ("|u1", ()), "string_ends": ("<u4", ())}
-MAX_STEPS = 1 << 16  # steps in one set of columns: each becomes objects many times its size
-SCHEMA = {**PER_TRAJECTORY, **PER_STEP, **PER_ROW, **STRINGS}
+MAX_STEPS = 1 << 16  # in one set of columns; the unpacked objects of a step are many times larger than its columns
+COLUMN_TYPES = {**PER_TRAJECTORY, **PER_STEP, **PER_ROW, **STRINGS}
 
 
 def pack(trajectories: Sequence[Trajectory]) -> Columns:
-    """The columns of some trajectories, without what each has once (see `head`)."""
+    """The columns of some trajectories. Raises ValueError when a number is not finite or there are too many steps."""
     pages = [page for trajectory in trajectories for page in trajectory.pages]
     actions = [action for trajectory in trajectories for action in trajectory.actions]
     columns: Columns = {
@@ -61,48 +69,49 @@ def pack(trajectories: Sequence[Trajectory]) -> Columns:
         "to": _column("to", [action.to for action in actions]),
         "at": _column("at", [action.at for action in actions]).reshape(-1, 2),
         "by": _column("by", [action.by for action in actions]).reshape(-1, 2),
-        "behaviour_logp": _joined("behaviour_logp", [t.behaviour_logp for t in trajectories]),
-        "rewards": _joined("rewards", [t.rewards for t in trajectories]),
+        "behaviour_logp": _concatenate("behaviour_logp", [t.behaviour_logp for t in trajectories]),
+        "rewards": _concatenate("rewards", [t.rewards for t in trajectories]),
     }
     for name in ("ref", "parent", "box", "focused", "tampered"):
-        columns[name] = _joined(name, [getattr(page, name) for page in pages])
+        columns[name] = _concatenate(name, [getattr(page, name) for page in pages])
     columns |= _pack_strings(pages, actions)
     _check_shapes(columns)
     _check_finite(columns)
     return columns
 
 
-def unpack(columns: Mapping[str, Column], heads: Sequence[Mapping[str, object]]) -> list[Trajectory]:
-    """The inverse of `pack`; `heads` holds what each trajectory has once. Arrays are views of the columns.
+def unpack(columns: Mapping[str, Column], headers: Sequence[Mapping[str, object]]) -> list[Trajectory]:
+    """The inverse of `pack`; `headers` holds the `header_fields` of each trajectory. Arrays are views of the columns.
 
-    Anything inconsistent is a ValueError; no index is trusted before it was checked.
+    The columns may come from an untrusted peer: every length and index is checked before it is used. Raises ValueError
+    when anything is inconsistent.
     """
     _check_shapes(columns)
     _check_finite(columns)
-    step_ends = _ends("steps", columns, count=len(heads), total=len(columns["rows"]), of="steps")
+    step_ends = _ends("steps", columns, count=len(headers), total=len(columns["rows"]), unit="steps")
     strings = _unpack_strings(columns)
     actions = _unpack_actions(columns, strings)
     pages = _unpack_pages(columns, strings)
     trajectories = []
-    for head, (first, last) in zip(heads, _spans(step_ends), strict=True):
+    for header, (first, last) in zip(headers, _spans(step_ends), strict=True):
         trajectories.append(
             Trajectory(
-                task=take(head, "task", str),
-                goal=Goal(take(head, "goal", str)),
-                seed=take(head, "seed", int),
+                task=read_field(header, "task", str),
+                goal=Goal(read_field(header, "goal", str)),
+                seed=read_field(header, "seed", int),
                 pages=tuple(pages[first:last]),
                 actions=tuple(actions[first:last]),
                 behaviour_logp=columns["behaviour_logp"][first:last].view(np.float32),
                 rewards=columns["rewards"][first:last].view(np.float32),
-                policy_version=take(head, "policy_version", int),
-                reward_version=take(head, "reward_version", int),
+                policy_version=read_field(header, "policy_version", int),
+                reward_version=read_field(header, "reward_version", int),
             )
         )
     return trajectories
 
 
-def head(trajectory: Trajectory) -> dict[str, object]:
-    """What a trajectory has once."""
+def header_fields(trajectory: Trajectory) -> dict[str, object]:
+    """The fields that a trajectory has once, for a message header."""
     return {
         "task": trajectory.task,
         "goal": trajectory.goal.utterance,
@@ -112,16 +121,16 @@ def head(trajectory: Trajectory) -> dict[str, object]:
     }
 
 
-def take(head: Mapping[str, object], name: str, kind: type[T]) -> T:
-    """One field of a header, of exactly this type."""
-    value = head.get(name)
-    if type(value) is not kind:  # exactly: True is no version number
+def read_field(header: Mapping[str, object], name: str, kind: type[T]) -> T:
+    """The value of a header field. Raises ValueError when it is missing or its type is not exactly `kind`."""
+    value = header.get(name)
+    if type(value) is not kind:  # not isinstance: True is not a version number
         raise ValueError(f"header field {name!r} is {value!r:.80}, wanted {kind.__name__}")
     return value
 
 
-def flat(columns: Mapping[str, Column], dtypes: Mapping[str, str]) -> list[Column]:
-    """Exactly these one-dimensional columns, in this order."""
+def read_vectors(columns: Mapping[str, Column], dtypes: Mapping[str, str]) -> list[Column]:
+    """The one-dimensional columns that `dtypes` names, in its order. Raises ValueError when there are any others."""
     if columns.keys() != dtypes.keys():
         raise ValueError(f"columns are {sorted(columns)!r:.80}, wanted {sorted(dtypes)}")
     for name, dtype in dtypes.items():
@@ -131,31 +140,31 @@ def flat(columns: Mapping[str, Column], dtypes: Mapping[str, str]) -> list[Colum
 
 
 def _column(name: str, values: Sequence[int | tuple[float, float]]) -> Column:
-    return np.array(values, dtype=np.dtype(SCHEMA[name][0]))
+    return np.array(values, dtype=np.dtype(COLUMN_TYPES[name][0]))
 
 
-def _joined(name: str, parts: Sequence[Column]) -> Column:
-    dtype, tail = SCHEMA[name]
+def _concatenate(name: str, parts: Sequence[Column]) -> Column:
+    dtype, entry = COLUMN_TYPES[name]
     if not parts:
-        return np.empty((0, *tail), dtype=dtype)
+        return np.empty((0, *entry), dtype=dtype)
     return np.concatenate(parts, dtype=np.dtype(dtype), casting="same_kind")
 
 
 def _pack_strings(pages: Sequence[Page], actions: Sequence[Action]) -> Columns:
-    numbers: dict[str, int] = {}
+    indices: dict[str, int] = {}
     columns: Columns = {}
-    for name in (*TEXTS, "literal"):
+    for name in (*TEXT_COLUMNS, "literal"):
         if name == "literal":
             strings = [action.literal for action in actions]
         else:
             strings = list(chain.from_iterable(getattr(page, name) for page in pages))
         for string in dict.fromkeys(strings):
-            numbers.setdefault(string, len(numbers))
-        columns[name] = np.fromiter(map(numbers.__getitem__, strings), dtype=np.dtype("<u4"), count=len(strings))
-    # A page may hold half of a surrogate pair; JavaScript allows it, so it has to survive the trip.
-    blob = "".join(numbers).encode("utf-8", "surrogatepass")
+            indices.setdefault(string, len(indices))
+        columns[name] = np.fromiter(map(indices.__getitem__, strings), dtype=np.dtype("<u4"), count=len(strings))
+    # JavaScript strings, and therefore pages, may contain lone surrogates.
+    blob = "".join(indices).encode("utf-8", "surrogatepass")
     columns["characters"] = np.frombuffer(blob, dtype=np.uint8)
-    columns["string_ends"] = np.cumsum([len(string) for string in numbers], dtype=np.int64).astype("<u4")
+    columns["string_ends"] = np.cumsum([len(string) for string in indices], dtype=np.int64).astype("<u4")
     return columns
 
 
@@ -163,7 +172,7 @@ def _unpack_strings(columns: Mapping[str, Column]) -> list[str]:
     blob = columns["characters"].tobytes().decode("utf-8", "surrogatepass")
     ends = columns["string_ends"].astype(np.int64)
     if np.any(np.diff(ends, prepend=0) < 0) or (ends[-1] if len(ends) else 0) != len(blob):
-        raise ValueError(f"string_ends does not cut the {len(blob)} characters there are into strings")
+        raise ValueError(f"column 'string_ends' does not split the {len(blob)} characters into strings")
     return [blob[first:last] for first, last in _spans(ends)]
 
 
@@ -171,7 +180,7 @@ def _unpack_actions(columns: Mapping[str, Column], strings: Sequence[str]) -> li
     verbs = columns["verb"]
     if len(verbs) and not bool(np.all(np.isin(verbs, list(Verb)))):
         raise ValueError(f"column 'verb' holds {int(verbs.max())}, wanted one of {[int(verb) for verb in Verb]}")
-    literals = _named("literal", columns, strings)
+    literals = _lookup_strings("literal", columns, strings)
     rows = zip(*(columns[name].tolist() for name in ("verb", "element", "start", "end", "to", "at", "by")), strict=True)
     return [
         Action(
@@ -188,19 +197,19 @@ def _unpack_actions(columns: Mapping[str, Column], strings: Sequence[str]) -> li
     ]
 
 
-def _named(name: str, columns: Mapping[str, Column], strings: Sequence[str]) -> tuple[str, ...]:
-    """The strings that a column names by number."""
-    numbers = columns[name]
-    if len(numbers) and int(numbers.max()) >= len(strings):
-        raise ValueError(f"column {name!r} names string {int(numbers.max())} of {len(strings)}")
-    known = np.empty(len(strings), dtype=object)
-    known[:] = strings
-    return tuple(known[numbers].tolist())
+def _lookup_strings(name: str, columns: Mapping[str, Column], strings: Sequence[str]) -> tuple[str, ...]:
+    """The strings whose indices a column holds."""
+    indices = columns[name]
+    if len(indices) and int(indices.max()) >= len(strings):
+        raise ValueError(f"column {name!r} holds string index {int(indices.max())}, there are {len(strings)} strings")
+    table = np.empty(len(strings), dtype=object)
+    table[:] = strings
+    return tuple(table[indices].tolist())
 
 
 def _unpack_pages(columns: Mapping[str, Column], strings: Sequence[str]) -> list[Page]:
-    row_ends = _ends("rows", columns, count=len(columns["rows"]), total=len(columns["ref"]), of="page rows")
-    texts = {name: _named(name, columns, strings) for name in TEXTS}
+    row_ends = _ends("rows", columns, count=len(columns["rows"]), total=len(columns["ref"]), unit="page rows")
+    texts = {name: _lookup_strings(name, columns, strings) for name in TEXT_COLUMNS}
     if len(columns["parent"]) and int(columns["parent"].min()) < -1:
         raise ValueError(f"column 'parent' holds {int(columns['parent'].min())}, wanted -1 or a row")
     return [
@@ -222,20 +231,20 @@ def _unpack_pages(columns: Mapping[str, Column], strings: Sequence[str]) -> list
 
 
 def _check_shapes(columns: Mapping[str, Column]) -> None:
-    if columns.keys() != SCHEMA.keys():
-        odd = sorted(columns.keys() ^ SCHEMA.keys())
-        raise ValueError(f"columns {odd} are missing or unknown")
-    for name, (dtype, tail) in SCHEMA.items():
+    if columns.keys() != COLUMN_TYPES.keys():
+        different = sorted(columns.keys() ^ COLUMN_TYPES.keys())
+        raise ValueError(f"columns {different} are missing or unknown")
+    for name, (dtype, entry) in COLUMN_TYPES.items():
         column = columns[name]
-        if column.dtype != np.dtype(dtype) or column.ndim == 0 or column.shape[1:] != tail:
-            raise ValueError(f"column {name!r} is {column.dtype}{list(column.shape)}, wanted {dtype}[n, {tail}]")
+        if column.dtype != np.dtype(dtype) or column.ndim == 0 or column.shape[1:] != entry:
+            raise ValueError(f"column {name!r} is {column.dtype}{list(column.shape)}, wanted {dtype}[n, {entry}]")
     for group in (PER_TRAJECTORY, PER_STEP, PER_ROW):
         lengths = {name: len(columns[name]) for name in group}
         if len(set(lengths.values())) > 1:
-            raise ValueError(f"columns of one length have several: {lengths}")
+            raise ValueError(f"columns have lengths {lengths}, wanted equal lengths")
     rows = columns["rows"]
     if len(rows) > MAX_STEPS or (len(rows) and int(rows.min()) == 0):
-        raise ValueError(f"{len(rows)} steps, or a page with no row; wanted {MAX_STEPS} steps at most, each with a row")
+        raise ValueError(f"got {len(rows)} steps or an empty page, wanted at most {MAX_STEPS} steps, each with a row")
 
 
 def _check_finite(columns: Mapping[str, Column]) -> None:
@@ -244,14 +253,16 @@ def _check_finite(columns: Mapping[str, Column]) -> None:
             raise ValueError(f"column {name!r} holds a number that is not finite")
 
 
-def _ends(name: str, columns: Mapping[str, Column], *, count: int, total: int, of: str) -> NDArray[np.int64]:
+def _ends(name: str, columns: Mapping[str, Column], *, count: int, total: int, unit: str) -> NDArray[np.int64]:
+    """The cumulated lengths of a column, which must be `count` and add up to `total`."""
     lengths = columns[name]
     ends = np.cumsum(lengths, dtype=np.int64)
     if len(lengths) != count or (int(ends[-1]) if len(ends) else 0) != total:
-        raise ValueError(f"column {name!r} cuts {total} {of} into {lengths.tolist()[:8]}, wanted {count} parts")
+        raise ValueError(f"column {name!r} splits {total} {unit} into {lengths.tolist()[:8]}, wanted {count} parts")
     return ends
 
 
 def _spans(ends: NDArray[np.int64]) -> Iterable[tuple[int, int]]:
+    """(start, end) of consecutive parts, from where each ends."""
     stops = ends.tolist()
     return zip([0, *stops[:-1]], stops, strict=True) if stops else ()

@@ -1,20 +1,44 @@
-"""What an actor and the learner say to each other so that every episode arrives once, or is counted as lost.
+"""The delivery protocol between actors and the learner: each finished episode is processed once, or counted as lost.
 
-    actor                                learner
-      | hello                               |
-      | ----------------------------------> |  fences older incarnations, counts what they took with them
-      | <------------------------ grant --- |  acked so far, committed so far, how far it may send
-      | episode 0, 1, .. below the limit    |
-      | ----------------------------------> |  judges each once: queued, or dropped and counted
-      | <------------------------ grant --- |  when something was acked, taken or committed
-      | beat                                |
-      | ----------------------------------> |  answered by a grant, or by `who` when the learner is a new one
-      | bye                                 |
-      | ----------------------------------> |  what it finished and never delivered is counted as lost
+Terms:
 
-Notices and grants state all there is to know, not what has changed: one that is lost or comes twice does no harm.
-Messages keep their order on one connection. So a grant that answers a notice sent after an episode, and does not
-call that episode acked, says that the episode was lost on the way.
+- incarnation: one lifetime of an actor. Every restart of the actor gets a higher number.
+- sequence: the number of an episode within its incarnation, from 0.
+- acked: the learner has received the episode and decided about it: queued for training, or dropped and counted.
+- committed: a checkpoint covers the episode. Until then the actor keeps a copy, because a learner that restarts from
+  an older checkpoint needs the episode again.
+- settled: a checkpoint has recorded the end of the incarnation and the number of episodes that were lost with it.
+
+One connection (DEALER to ROUTER, see `transport`), from start to end:
+
+    actor                                     learner
+      | hello                                   |
+      | --------------------------------------> |  registers the actor, fences its older incarnations,
+      |                                         |  counts the episodes that were lost with them
+      | <--------------------------- grant ---- |  what is acked and committed, and the send limit
+      | episode 0, 1, ... (below the limit)     |
+      | --------------------------------------> |  acks each episode: queued, or dropped and counted
+      | <--------------------------- grant ---- |  after episodes were acked, taken for training or committed
+      | heartbeat (about once a second)         |
+      | --------------------------------------> |
+      | <--------------------------- grant ---- |
+      | bye                                     |
+      | --------------------------------------> |  counts finished but undelivered episodes as lost
+
+Messages of the actor carry a `Stamp`. Hello, heartbeat and bye are notices (`Notice`).
+
+Flow control: a grant has a `limit`, and the actor sends only sequences below it. The learner raises the limit as it
+takes episodes from its queue. An actor with too many episodes that are not acked stops playing until they are. So does
+an actor whose copies take too much memory; before that, the flag `full` in its notices asks for a checkpoint.
+
+Lost messages: notices and grants carry the complete state, not changes, so a lost or repeated one does no harm. A
+connection keeps the order of its messages. Therefore, when a grant answers a notice that was sent after an episode but
+does not ack that episode, the episode did not arrive (or was above the limit), and the actor sends it again. The
+learner drops and counts an episode that it has acked already.
+
+Restarts: a learner that does not know an actor, or knows it by an earlier incarnation or another connection, answers
+`unknown_actor`. The actor then sends hello, and again every episode that is not committed. A learner answers `refused`
+to an actor of another run, and to an incarnation that has been replaced by a newer one ("fenced"); that actor exits.
 """
 
 from __future__ import annotations
@@ -23,58 +47,75 @@ from dataclasses import dataclass
 from typing import Any
 
 from giirl_core.wire import messages as wire
-from giirl_core.wire.columns import take
+from giirl_core.wire.columns import Columns, read_field
 from giirl_core.wire.messages import MAX_COUNT, Header, Stamp, WireError
 
-HELLO, HEARTBEAT, BYE, EPISODE = "hello", "heartbeat", "bye", "episode"  # from actors, all stamped
+HELLO, HEARTBEAT, BYE, EPISODE = "hello", "heartbeat", "bye", "episode"  # kinds of messages from actors
 NOTICES = frozenset({HELLO, HEARTBEAT, BYE})
 GRANT, UNKNOWN_ACTOR, REFUSED = "grant", "unknown_actor", "refused"  # from the learner
-FENCED, OTHER_RUN = "fenced", "other_run"  # why an actor is refused
-MAX_BEFORE = 4096  # earlier incarnations in one notice
-Before = tuple[tuple[int, int], ...]
+FENCED, OTHER_RUN = "fenced", "other_run"  # reasons of a refusal
+MAX_EARLIER = 4096  # earlier incarnations in one notice
+IncarnationCounts = tuple[tuple[int, int], ...]  # (incarnation, number of episodes that it finished)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Notice:
-    """What an actor says of itself; `stamp.sequence` is the first episode it still keeps."""
+    """The state of an actor, as it reports it. Raises ValueError when its numbers contradict each other."""
 
-    kind: str
-    stamp: Stamp
-    number: int  # grows with every notice of one incarnation
-    finished: int  # its sequences are those below
-    full: bool = False  # it keeps so much that it needs a checkpoint to go on
-    before: Before = ()  # earlier incarnations no checkpoint has settled, with how many episodes each finished
+    kind: str  # HELLO, HEARTBEAT or BYE
+    stamp: Stamp  # its `sequence` is the first episode of which the actor keeps a copy
+    number: int  # of this notice; grows with every notice of an incarnation
+    finished: int  # number of episodes finished in this incarnation: sequences 0 to finished - 1
+    full: bool = False  # the actor keeps so many copies that it needs a checkpoint to go on
+    before: IncarnationCounts = ()  # earlier incarnations that are not settled
 
     def __post_init__(self) -> None:
         if min(self.number, self.finished - self.stamp.sequence) < 0:
-            raise ValueError(f"notice {self.number} of {self.finished} episodes, {self.stamp.sequence} the first kept")
+            raise ValueError(
+                f"Notice has number {self.number}, finished {self.finished} and sequence {self.stamp.sequence}, "
+                "wanted a number from 0 and a sequence of at most `finished`"
+            )
         if max(self.number, self.finished) >= MAX_COUNT:
-            raise ValueError(f"notice {self.number} of {self.finished} episodes, wanted less than {MAX_COUNT}")
+            raise ValueError(
+                f"Notice has number {self.number} and finished {self.finished}, wanted less than {MAX_COUNT}"
+            )
         if not all(0 <= i < self.stamp.incarnation and 0 <= count < MAX_COUNT for i, count in self.before):
-            raise ValueError(f"{self.before!r:.80} finished before incarnation {self.stamp.incarnation}")
+            raise ValueError(
+                f"Notice.before is {self.before!r:.80}, wanted incarnations below {self.stamp.incarnation} with counts"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeMessage:
+    """A received episode: header and columns are decoded, but the episode itself is not built or validated yet."""
+
+    stamp: Stamp
+    header: Header
+    arrays: Columns
+    size: int  # bytes of the encoded message
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grant:
-    """The learner's view of one incarnation of one actor; sequences are the actor's own."""
+    """The learner's state of one incarnation of one actor, as it reports it to that actor."""
 
     incarnation: int
-    notice: int  # the last notice that was heard
-    low_watermark: int  # every sequence below has been judged
-    acked: tuple[int, ...] = ()  # and these above it
-    committed: int  # every sequence below is covered by a checkpoint: the actor may forget it
-    settled: int  # incarnations below are closed in a checkpoint: what they lost has been counted for good
-    limit: int  # the actor may send sequences below
+    notice: int  # number of the last notice received
+    low_watermark: int  # every sequence below it is acked
+    acked: tuple[int, ...] = ()  # sequences above the low watermark that are acked, too
+    committed: int  # every sequence below it is committed: the actor may delete its copy
+    settled: int  # every incarnation below it is settled: the actor may delete its count
+    limit: int  # the actor may send the sequences below it
 
     def is_acked(self, sequence: int) -> bool:
         return sequence < self.low_watermark or sequence in self.acked
 
 
-NUMBERS = ("incarnation", "notice", "low_watermark", "committed", "settled", "limit")
+GRANT_FIELDS = ("incarnation", "notice", "low_watermark", "committed", "settled", "limit")
 
 
 def encode_notice(notice: Notice) -> bytes:
-    """What an actor says besides its episodes."""
+    """The message of a notice."""
     return wire.encode(
         {
             "kind": notice.kind,
@@ -91,52 +132,63 @@ def encode_notice(notice: Notice) -> bytes:
 
 
 def encode_grant(grant: Grant) -> bytes:
-    """The learner's answer to whatever an actor said."""
-    return wire.encode({"kind": GRANT, **{name: getattr(grant, name) for name in NUMBERS}, "acked": list(grant.acked)})
+    """The message of a grant."""
+    fields = {name: getattr(grant, name) for name in GRANT_FIELDS}
+    return wire.encode({"kind": GRANT, **fields, "acked": list(grant.acked)})
 
 
-def encode_who() -> bytes:
-    """The learner does not know the actor: it should say hello."""
+def encode_unknown_actor() -> bytes:
+    """The answer to an actor that the learner does not know: the actor should send hello."""
     return wire.encode({"kind": UNKNOWN_ACTOR})
 
 
 def encode_refused(reason: str, stamp: Stamp) -> bytes:
-    """The learner will never take anything from the actor that this stamp names."""
-    who = {"run": stamp.run, "actor": stamp.actor, "incarnation": stamp.incarnation}
-    return wire.encode({"kind": REFUSED, "reason": reason, **who})
+    """The answer to an actor from which the learner accepts nothing; `reason` is FENCED or OTHER_RUN."""
+    recipient = {"run": stamp.run, "actor": stamp.actor, "incarnation": stamp.incarnation}
+    return wire.encode({"kind": REFUSED, "reason": reason, **recipient})
 
 
 def is_refused(header: Header, stamp: Stamp) -> bool:
-    """Whether a refusal means this actor, and not somebody else who spoke in its place."""
-    who = (header.get("run"), header.get("actor"), header.get("incarnation"))
-    return header["kind"] == REFUSED and who == (stamp.run, stamp.actor, stamp.incarnation)
+    """True when a message refuses this very actor, not another one that used the same connection identity."""
+    recipient = (header.get("run"), header.get("actor"), header.get("incarnation"))
+    return header["kind"] == REFUSED and recipient == (stamp.run, stamp.actor, stamp.incarnation)
 
 
 def read_notice(header: Header, stamp: Stamp) -> Notice:
-    """The notice of a decoded message."""
+    """The notice of a decoded message. Raises WireError."""
     before: Any = header.get("before")
-    if not isinstance(before, list) or len(before) > MAX_BEFORE or not all(_is_pair(entry) for entry in before):
+    if not isinstance(before, list) or len(before) > MAX_EARLIER or not all(_is_pair(entry) for entry in before):
         raise WireError(f"header field 'before' is {before!r:.80}, wanted pairs of incarnation and count")
-    with wire.untrusted():
+    with wire.as_wire_error():
         return Notice(
-            kind=take(header, "kind", str),
+            kind=read_field(header, "kind", str),
             stamp=stamp,
-            number=take(header, "number", int),
-            finished=take(header, "finished", int),
-            full=take(header, "full", bool),
+            number=read_field(header, "number", int),
+            finished=read_field(header, "finished", int),
+            full=read_field(header, "full", bool),
             before=tuple((entry[0], entry[1]) for entry in before),
         )
 
 
 def read_grant(header: Header) -> Grant:
-    """The grant of a decoded message."""
-    wire.expect(header, GRANT)
+    """The grant of a decoded message. Raises WireError."""
+    wire.check_kind(header, GRANT)
     acked: Any = header.get("acked")
     if not isinstance(acked, list) or not all(type(sequence) is int for sequence in acked):
-        raise WireError(f"header field 'acked' is {acked!r:.80}, wanted a list of sequences")
-    with wire.untrusted():
-        return Grant(acked=tuple(acked), **{name: take(header, name, int) for name in NUMBERS})
+        raise WireError(f"header field 'acked' is {acked!r:.80}, wanted a list of integers")
+    with wire.as_wire_error():
+        return Grant(acked=tuple(acked), **{name: read_field(header, name, int) for name in GRANT_FIELDS})
 
 
 def _is_pair(entry: object) -> bool:
     return isinstance(entry, list) and len(entry) == 2 and all(type(number) is int for number in entry)
+
+
+def parse(message: bytes) -> Notice | EpisodeMessage:
+    """Decode a message from an actor; WireError unless it is a valid notice or the envelope of an episode."""
+    header, arrays = wire.decode(message)
+    stamp = wire.read_stamp(header)
+    if header["kind"] in NOTICES:
+        return read_notice(header, stamp)
+    wire.check_kind(header, EPISODE)
+    return EpisodeMessage(stamp=stamp, header=header, arrays=arrays, size=len(message))

@@ -1,4 +1,4 @@
-"""Asking the reward service: of several replicas the least loaded, and another one when that does not answer."""
+"""The client of the reward service: sends requests to the least loaded replica, and retries at another one."""
 
 from __future__ import annotations
 
@@ -10,52 +10,56 @@ from itertools import count
 
 from giirl_core.types import UNSCORED, Trajectory
 from giirl_core.wire.messages import WireError
-from giirl_core.wire.scoring import NOT_NOW, Rewards, ScoreReply, decode_reply, encode_request
+from giirl_core.wire.scoring import RETRYABLE, Rewards, ScoreReply, decode_reply, encode_request
 from giirl_core.wire.transport import Dealer, Keys
 
-BACKOFF_S = 0.02  # after the first "not now" of a replica; doubles
+BACKOFF_S = 0.02  # after the first retryable error of a replica; doubles with each further one
 BACKOFF_MAX_S = 1.0
-WAIT_S = 0.02  # for an answer, where one replica is all there is to listen to
-GLANCE_S = 0.001  # where there are several
+WAIT_S = 0.02  # to receive from a single replica
+WAIT_EACH_S = 0.001  # to receive from each of several replicas
 
 
 @dataclass(slots=True, kw_only=True)
 class _Replica:
     address: str
     dealer: Dealer
-    under_way: int = 0  # steps of ours that it has not answered
-    backlog: int = 0  # requests that waited there when it answered last
-    put_off: int = 0  # "not now" in a row
-    rests_until_s: float = 0.0  # it said "not now"
-    suspect_until_s: float = 0.0  # it did not answer: only asked when there is no other
+    steps_in_flight: int = 0  # in requests that it has not answered
+    backlog: int = 0  # requests queued there, by its last reply
+    retryable_errors: int = 0  # in a row
+    backoff_until_s: float = 0.0  # no requests are sent to it before
+    suspect_until_s: float = 0.0  # it did not answer in time: before then, other replicas are preferred
 
 
 @dataclass(slots=True, kw_only=True)
-class _Question:
+class _Request:
     key: object
     message: bytes
-    steps: tuple[int, ...]
-    tries: int = 0  # how often it was sent and not put off
-    asked: _Replica | None = None  # who has it
-    due_s: float = 0.0  # when to stop waiting for that answer
-    end_s: float  # when to give up altogether
-    trouble: str = "no answer"
+    steps: tuple[int, ...]  # of each trajectory
+    attempts: int = 0  # how often it was sent, without those that were answered with a retryable error
+    replica: _Replica | None = None  # where the current attempt was sent
+    attempt_end_s: float = 0.0  # deadline of the current attempt
+    end_s: float  # deadline of the request
+    error: str = "no answer"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Answer:
+class _Result:
     key: object
     rewards: tuple[Rewards, ...] | None
     version: int
-    trouble: str = ""
+    error: str = ""
 
 
 class ScoreClient:
-    """Asks reward services without ever waiting for them: submit, go on, poll.
+    """Requests rewards without blocking. Belongs to one thread.
 
-    A question that is not answered within `timeout_s` is asked again up to `retries` times, of another replica if
-    there is one. One answered "not now" is asked again for as long as all those tries would have taken. Belongs to
-    one thread.
+        client.submit(key, trajectory)
+        ...
+        for key, rewards, version in client.poll(): ...
+
+    An attempt that is not answered within `timeout_s` is repeated up to `retries` times, at another replica if there is
+    one. After a retryable error ("overloaded", "no weights yet") the request is sent again, after a backoff and without
+    using up a retry. In any case the request fails after `timeout_s * (retries + 1)`.
     """
 
     def __init__(
@@ -67,70 +71,78 @@ class ScoreClient:
         retries: int = 2,
         keys: Keys | None = None,
     ) -> None:
-        self.strays = 0  # replies that came too late, twice, or damaged
+        self.ignored_replies = 0  # late, repeated or damaged ones
         self._identity, self._keys = identity, keys
         self._timeout_s, self._retries = timeout_s, retries
         self._numbers = count()
-        self._open: dict[int, _Question] = {}
+        self._pending: dict[int, _Request] = {}
         self._replicas: list[_Replica] = []
-        self.follow(addresses)
+        self.set_replicas(addresses)
 
     @property
     def pending(self) -> int:
-        """Questions neither answered nor given up."""
-        return len(self._open)
+        """Number of requests that have neither succeeded nor failed."""
+        return len(self._pending)
 
-    def follow(self, addresses: Sequence[str]) -> None:
-        """These are the replicas from now on; what others have not answered is asked of these."""
-        known = {replica.address: replica for replica in self._replicas}
-        self._replicas = [known.pop(a) if a in known else self._connect(a) for a in addresses]
-        for replica in known.values():
+    def set_replicas(self, addresses: Sequence[str]) -> None:
+        """Replace the list of replicas. Pending requests of removed replicas are sent to the new ones."""
+        removed = {replica.address: replica for replica in self._replicas}
+        self._replicas = [removed.pop(a) if a in removed else self._connect(a) for a in addresses]
+        for replica in removed.values():
             replica.dealer.close()
-        for question in self._open.values():
-            if question.asked and question.asked.address in known:
-                question.asked = None
+        for request in self._pending.values():
+            if request.replica and request.replica.address in removed:
+                request.replica = None
 
     def submit(self, key: object, trajectory: Trajectory) -> None:
-        """Ask for one trajectory's rewards; `poll` will name them by `key`."""
-        self._ask(key, [trajectory])
+        """Request the rewards of one trajectory; `poll` returns them with `key`."""
+        self._add(key, [trajectory])
         self._send()
 
     def poll(self) -> list[tuple[object, Rewards | None, int]]:
-        """What has been settled since: key, rewards, their version. No rewards: asking was given up."""
-        return [(a.key, a.rewards[0] if a.rewards else None, a.version) for a in self._settle(0.0)]
+        """The requests that have finished since the last call: key, rewards [T], reward version.
+
+        The rewards are None for a request that failed.
+        """
+        return [(r.key, r.rewards[0] if r.rewards else None, r.version) for r in self._receive(0.0)]
 
     def score(self, trajectories: Sequence[Trajectory]) -> tuple[list[Rewards], int]:
-        """Ask and wait. For scripts: only while nothing submitted is pending."""
-        if self._open:
-            raise ValueError(f"{len(self._open)} submitted questions are pending: poll until there are none")
-        self._ask(None, trajectories)
-        settled: list[_Answer] = []
-        while not settled:
-            settled = self._settle(WAIT_S if len(self._replicas) == 1 else GLANCE_S)
-        if settled[0].rewards is None:
-            where = ", ".join(replica.address for replica in self._replicas) or "no address"
-            asked = f"the reward service at {where} gave no rewards for {len(trajectories)} trajectories"
-            raise TimeoutError(f"{asked}: {settled[0].trouble}")
-        return list(settled[0].rewards), settled[0].version
+        """Request rewards and wait for them: an array [T] for each trajectory, and the reward version.
 
-    def give_up(self) -> list[object]:
-        """The keys of all that is pending: whoever asked goes on without."""
-        keys = [question.key for question in self._open.values()]
-        self._open.clear()
+        Raises TimeoutError when the request fails, ValueError while submitted requests are pending.
+        """
+        if self._pending:
+            raise ValueError(f"{len(self._pending)} submitted requests are pending, wanted none: call poll first")
+        self._add(None, trajectories)
+        results: list[_Result] = []
+        while not results:
+            results = self._receive(WAIT_S if len(self._replicas) == 1 else WAIT_EACH_S)
+        result = results[0]
+        if result.rewards is None:
+            addresses = ", ".join(replica.address for replica in self._replicas) or "no address"
+            raise TimeoutError(
+                f"the reward service at {addresses} gave no rewards for {len(trajectories)} episodes: {result.error}"
+            )
+        return list(result.rewards), result.version
+
+    def cancel_pending(self) -> list[object]:
+        """Cancel all pending requests; returns their keys."""
+        keys = [request.key for request in self._pending.values()]
+        self._pending.clear()
         return keys
 
     def close(self) -> None:
-        """Forget what is pending."""
-        self._open.clear()
-        self.follow([])
+        """Cancel all pending requests and close the connections."""
+        self._pending.clear()
+        self.set_replicas([])
 
     def _connect(self, address: str) -> _Replica:
         dealer = Dealer(address, identity=self._identity.encode(), keys=self._keys)
         return _Replica(address=address, dealer=dealer)
 
-    def _ask(self, key: object, trajectories: Sequence[Trajectory]) -> None:
+    def _add(self, key: object, trajectories: Sequence[Trajectory]) -> None:
         number = next(self._numbers)
-        self._open[number] = _Question(
+        self._pending[number] = _Request(
             key=key,
             message=encode_request(number, trajectories),
             steps=tuple(len(trajectory) for trajectory in trajectories),
@@ -139,78 +151,79 @@ class ScoreClient:
 
     def _send(self) -> None:
         now_s = time.monotonic()
-        for question in self._open.values():
-            if question.asked and now_s >= question.due_s:
-                question.asked.suspect_until_s = now_s + self._timeout_s
-                self._take_back(question)
-                question.trouble = f"no answer within {self._timeout_s} s, asked {question.tries} times"
-            if question.asked is None and question.tries <= self._retries:
-                self._send_to_someone(question, now_s)
+        for request in self._pending.values():
+            if request.replica and now_s >= request.attempt_end_s:
+                request.replica.suspect_until_s = now_s + self._timeout_s
+                self._detach(request)
+                request.error = f"no answer within {self._timeout_s} s, tried {request.attempts} times"
+            if request.replica is None and request.attempts <= self._retries:
+                self._send_to_best(request, now_s)
 
-    def _send_to_someone(self, question: _Question, now_s: float) -> None:
-        """The least loaded that may be asked and can be reached, those who answer first."""
-        awake = [replica for replica in self._replicas if now_s >= replica.rests_until_s]
-        for replica in sorted(awake, key=lambda r: (r.suspect_until_s > now_s, r.under_way + r.backlog)):
-            if replica.dealer.send(question.message):
-                question.asked, question.due_s = replica, now_s + self._timeout_s
-                question.tries += 1
-                replica.under_way += sum(question.steps)
+    def _send_to_best(self, request: _Request, now_s: float) -> None:
+        """Send to the least loaded reachable replica that is not backing off; suspect replicas come last."""
+        available = [replica for replica in self._replicas if now_s >= replica.backoff_until_s]
+        for replica in sorted(available, key=lambda r: (r.suspect_until_s > now_s, r.steps_in_flight + r.backlog)):
+            if replica.dealer.send(request.message):
+                request.replica, request.attempt_end_s = replica, now_s + self._timeout_s
+                request.attempts += 1
+                replica.steps_in_flight += sum(request.steps)
                 return
-        if awake and not question.tries:
+        if available and not request.attempts:
             refusals = sum(replica.dealer.refusals for replica in self._replicas)
-            question.trouble = f"no connection ({refusals} refusals)"
+            request.error = f"no connection ({refusals} refusals)"
 
-    def _take_back(self, question: _Question) -> None:
-        if question.asked:
-            question.asked.under_way -= sum(question.steps)
-        question.asked = None
+    def _detach(self, request: _Request) -> None:
+        """End the current attempt of a request."""
+        if request.replica:
+            request.replica.steps_in_flight -= sum(request.steps)
+        request.replica = None
 
-    def _settle(self, wait_s: float) -> list[_Answer]:
+    def _receive(self, wait_s: float) -> list[_Result]:
         self._send()
-        answers = []
+        results = []
         for replica in self._replicas or ():
             while (message := replica.dealer.recv(wait_s)) is not None:
                 wait_s = 0.0
-                if (answer := self._read(replica, message)) is not None:
-                    answers.append(answer)
+                if (result := self._read(replica, message)) is not None:
+                    results.append(result)
         if not self._replicas:
             time.sleep(wait_s)
         now_s = time.monotonic()
-        for number, question in list(self._open.items()):
-            spent = question.tries > self._retries and question.asked is None
-            if spent or now_s >= question.end_s:
-                self._take_back(self._open.pop(number))
-                answers.append(_Answer(key=question.key, rewards=None, version=UNSCORED, trouble=question.trouble))
-        return answers
+        for number, request in list(self._pending.items()):
+            exhausted = request.attempts > self._retries and request.replica is None
+            if exhausted or now_s >= request.end_s:
+                self._detach(self._pending.pop(number))
+                results.append(_Result(key=request.key, rewards=None, version=UNSCORED, error=request.error))
+        return results
 
-    def _read(self, replica: _Replica, message: bytes) -> _Answer | None:
+    def _read(self, replica: _Replica, message: bytes) -> _Result | None:
         try:
             reply = decode_reply(message)
         except WireError:
-            self.strays += 1
+            self.ignored_replies += 1
             return None
         replica.backlog, replica.suspect_until_s = reply.backlog, 0.0
-        question = self._open.get(reply.request)
-        if question is None:
-            self.strays += 1
+        request = self._pending.get(reply.request)
+        if request is None:
+            self.ignored_replies += 1
             return None
-        if reply.error in NOT_NOW:
-            self._put_off(replica, question, reply)
+        if reply.error in RETRYABLE:
+            self._back_off(replica, request, reply)
             return None
-        replica.put_off = 0
-        self._take_back(self._open.pop(reply.request))
-        if reply.error or tuple(len(part) for part in reply.rewards) != question.steps:
-            trouble = reply.error or "rewards for other steps than were asked about"
-            return _Answer(key=question.key, rewards=None, version=UNSCORED, trouble=trouble)
-        return _Answer(key=question.key, rewards=reply.rewards, version=reply.version)
+        replica.retryable_errors = 0
+        self._detach(self._pending.pop(reply.request))
+        if reply.error or tuple(len(part) for part in reply.rewards) != request.steps:
+            error = reply.error or "the reply has another number of rewards than the trajectories have steps"
+            return _Result(key=request.key, rewards=None, version=UNSCORED, error=error)
+        return _Result(key=request.key, rewards=reply.rewards, version=reply.version)
 
-    def _put_off(self, replica: _Replica, question: _Question, reply: ScoreReply) -> None:
+    def _back_off(self, replica: _Replica, request: _Request, reply: ScoreReply) -> None:
         now_s = time.monotonic()
-        if now_s >= replica.rests_until_s:
-            pause_s = min(BACKOFF_S * 2**replica.put_off, BACKOFF_MAX_S)
-            replica.rests_until_s = now_s + pause_s * random.uniform(0.5, 1.0)
-            replica.put_off += 1
-        if question.asked is replica:
-            self._take_back(question)
-            question.tries -= 1
-            question.trouble = reply.error
+        if now_s >= replica.backoff_until_s:
+            backoff_s = min(BACKOFF_S * 2**replica.retryable_errors, BACKOFF_MAX_S)
+            replica.backoff_until_s = now_s + backoff_s * random.uniform(0.5, 1.0)
+            replica.retryable_errors += 1
+        if request.replica is replica:
+            self._detach(request)
+            request.attempts -= 1
+            request.error = reply.error

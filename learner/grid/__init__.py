@@ -1,1 +1,1 @@
-"""grid."""
+"""The learner for LanguageGridCraft: features, networks, soft Q-learning and the discriminator on grid steps."""

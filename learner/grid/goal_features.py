@@ -1,4 +1,4 @@
-"""Instructions as counts of words: goal features of the tabular chapter."""
+"""Goal features for LanguageGridCraft: bag-of-words counts of an instruction."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from giirl_core.actions import TOKEN
 
 
 class BagOfWords:
-    """Counts over a closed vocabulary, the goal features of the thesis's tabular chapter (section 3.4).
+    """Word counts over a fixed vocabulary (Luo 2019, section 3.4).
 
-    With `order=2` pairs of neighbouring words are counted too, since a plain bag cannot tell
-    "Go to red. Avoid blue." from "Go to blue. Avoid red.".
+    With `order=2` bigrams are counted too: single words cannot distinguish "Go to red. Avoid blue." from
+    "Go to blue. Avoid red.".
     """
 
     def __init__(self, utterances: Iterable[str], order: int = 1) -> None:
@@ -23,7 +23,7 @@ class BagOfWords:
         self.column = {term: i for i, term in enumerate(sorted(terms))}
 
     def __call__(self, utterance: str) -> NDArray[np.float32]:
-        """[V] counts; words outside the vocabulary are left out."""
+        """[V] counts; terms outside the vocabulary are ignored."""
         bag = np.zeros(len(self.column), dtype=np.float32)
         for term in self._terms(utterance):
             if term in self.column:

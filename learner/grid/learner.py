@@ -1,4 +1,4 @@
-"""GIIRL in LanguageGridCraft: a discriminator and soft Q-learning with the verbs that learner.giirl uses."""
+"""GIIRL in LanguageGridCraft: the discriminator, soft Q-learning and cloning that the loop in learner.giirl drives."""
 
 from __future__ import annotations
 
@@ -20,82 +20,83 @@ from gridcraft.instructions import Pair, plain_sentence, sentences
 from gridcraft.world import HORIZON, World
 from learner.grid.goal_features import BagOfWords
 from learner.grid.nets import GridFeatures, PotentialNet, QNet, RewardNet, one_hot
-from learner.grid.steps import EXPERT_TEMPERATURE, NOTHING, GridDemos, Index, Steps, expert_steps, random_steps
+from learner.grid.steps import EXPERT_TEMPERATURE, NO_STEPS, GridDemos, Index, Steps, expert_steps, random_steps
 from learner.losses import gradient_penalty, logistic_loss
 from learner.schedules import anneal, anneal_reward
 
 EXPERT = "expert"
-TARGET_RATE = 0.05  # how fast the net that acts and sets targets follows Q
+TARGET_RATE = 0.05  # weight of Q in each update of the moving average that acts and sets targets
 RewardFn = Callable[[Steps], Tensor]
 
 
 class GridDiscriminator:
-    """Binary logistic regression of the expert's steps from the sources of negatives that the config weighs."""
+    """Logistic regression of expert steps against the sources of negatives that the config weights (eq. 3.2)."""
 
     def __init__(
-        self, config: Config, sight: GridFeatures, demos: GridDemos, chance: Steps, rng: np.random.Generator
+        self, config: Config, features: GridFeatures, demos: GridDemos, random: Steps, rng: np.random.Generator
     ) -> None:
         self.config: DiscriminatorConfig = config.discriminator
         self._gamma = config.policy.gamma
-        self._sight, self._demos, self._chance, self._rng = sight, demos, chance, rng
-        self.net = RewardNet(sight.width, config.net.width)
-        self.potential = PotentialNet(sight.width, config.net.width)
+        self._features, self._demos, self._random, self._rng = features, demos, random, rng
+        self.net = RewardNet(features.reward_width, config.net.width)
+        self.potential = PotentialNet(features.reward_width, config.net.width)
         self.optimiser = torch.optim.Adam(
             [*self.net.parameters(), *self.potential.parameters()],
             lr=self.config.learning_rate,
             fused=True,
         )
-        self.old = NOTHING
-        self.accuracy = 1.0  # share of the newest rollouts that it took for the policy's
+        self.replay = NO_STEPS
+        self.accuracy = 1.0  # on the newest rollouts
 
     def update(self, expert: Steps, rollouts: Steps, policy: QNet) -> dict[str, float]:
-        """Train on fresh draws from each source; returns the loss and the share of each source judged rightly."""
+        """Train on new samples from each source. Returns the loss and the accuracy by source of the last batch."""
         stats: dict[str, float] = {}
         for _ in range(self.config.updates):
-            stats = self._descend(self._sources(expert, rollouts, policy), policy)
+            stats = self._train_batch(self._sample_sources(expert, rollouts, policy), policy)
         self.accuracy = stats.get("d_accuracy_rollouts", self.accuracy)
-        kept = self.config.replay_size * HORIZON
-        self.old = Steps.join([self.old, rollouts])
-        self.old = self.old.pick(np.arange(max(len(self.old) - kept, 0), len(self.old)))
+        capacity = self.config.replay_size * HORIZON
+        self.replay = Steps.join([self.replay, rollouts])
+        self.replay = self.replay.pick(np.arange(max(len(self.replay) - capacity, 0), len(self.replay)))
         return stats
 
     def rewards(self, rollouts: Steps, version: int) -> Tensor:
-        """r(s_t, a_t | g) [N] of every step; always of the reward just learned, whatever its `version`."""
+        """[N] r(s_t, a_t | g) of every step, always from the current reward; `version` is ignored."""
         return self.reward_fn(rollouts)
 
     @torch.no_grad()
     def reward_fn(self, steps: Steps) -> Tensor:
-        """r(s, a | g) [N]; of the AIRL form, the part of its logit that is no shaping."""
-        logit = self.net(self._sight(steps.state, steps.goal), one_hot(steps.action))
+        """[N] r(s, a | g). In the AIRL form it is computed from the logit without the shaping terms."""
+        logit = self.net(self._features.reward_inputs(steps.state, steps.goal), one_hot(steps.action))
         return reward_of(logit, self.config.reward, self.config.clip)
 
-    def _sources(self, expert: Steps, rollouts: Steps, policy: QNet) -> dict[str, tuple[float, Steps]]:
+    def _sample_sources(self, expert: Steps, rollouts: Steps, policy: QNet) -> dict[str, tuple[float, Steps]]:
+        """The weight and a batch of each source, without sources of weight 0 or without steps."""
         config, rng = self.config, self._rng
-        shown, new = expert.draw(config.batch, rng), rollouts.draw(config.batch, rng)
+        positives, new = expert.sample(config.batch, rng), rollouts.sample(config.batch, rng)
         sources = {
-            EXPERT: (1.0, shown),
+            EXPERT: (1.0, positives),
             "rollouts": (config.rollouts, new),
-            "replay": (config.replay, self.old.draw(config.batch, rng) if config.replay else NOTHING),
+            "replay": (config.replay, self.replay.sample(config.batch, rng) if config.replay else NO_STEPS),
             "policy_on_expert_states": (
                 config.policy_on_expert_states,
-                self._act(shown, policy) if config.policy_on_expert_states else NOTHING,
+                self._policy_actions(positives, policy) if config.policy_on_expert_states else NO_STEPS,
             ),
-            "random_actions": (config.random_actions, self._chance.draw(config.batch, rng)),
-            "wrong_goal": (config.wrong_goal, self._demos.wrong_goals(shown) if config.wrong_goal else NOTHING),
+            "random_actions": (config.random_actions, self._random.sample(config.batch, rng)),
+            "wrong_goal": (config.wrong_goal, self._demos.wrong_goals(positives) if config.wrong_goal else NO_STEPS),
         }
         return {name: (weight, steps) for name, (weight, steps) in sources.items() if weight and len(steps)}
 
     @torch.no_grad()
-    def _act(self, shown: Steps, policy: QNet) -> Steps:
-        """What the policy would do in the experts' states. Where it leads is not asked: only AIRL's form would be."""
-        pi = policy.log_policy(self._sight.wide(shown.state, shown.goal)).exp().numpy()
-        action = (np.cumsum(pi, axis=1)[:, :-1] <= self._rng.random((len(shown), 1))).sum(axis=1)
-        return Steps(state=shown.state, action=action, following=shown.following, goal=shown.goal)
+    def _policy_actions(self, expert: Steps, policy: QNet) -> Steps:
+        """The policy's actions in the expert's states. `following` stays the expert's; only the AIRL form reads it."""
+        pi = policy.log_policy(self._features.policy_inputs(expert.state, expert.goal)).exp().numpy()
+        action = (np.cumsum(pi, axis=1)[:, :-1] <= self._rng.random((len(expert), 1))).sum(axis=1)
+        return Steps(state=expert.state, action=action, following=expert.following, goal=expert.goal)
 
-    def _descend(self, sources: dict[str, tuple[float, Steps]], policy: QNet) -> dict[str, float]:
+    def _train_batch(self, sources: dict[str, tuple[float, Steps]], policy: QNet) -> dict[str, float]:
         config = self.config
         steps = Steps.join([steps for _, steps in sources.values()])
-        inputs = [self._see(steps), one_hot(steps.action)]
+        inputs = [self._renamed_inputs(steps), one_hot(steps.action)]
         for tensor in inputs:
             tensor.requires_grad_(config.gradient_penalty > 0)
         logits = self.net(*inputs)
@@ -107,68 +108,69 @@ class GridDiscriminator:
         self.optimiser.zero_grad()
         (loss + penalty).backward()
         self.optimiser.step()
-        right = {name: (part > 0 if name == EXPERT else part < 0).float().mean() for name, part in parts.items()}
-        return {"d_loss": loss.item(), **{f"d_accuracy_{name}": share.item() for name, share in right.items()}}
+        accuracy = {name: (part > 0 if name == EXPERT else part < 0).float().mean() for name, part in parts.items()}
+        return {"d_loss": loss.item(), **{f"d_accuracy_{name}": mean.item() for name, mean in accuracy.items()}}
 
-    def _see(self, steps: Steps) -> Tensor:
-        """[N, F + V], a share of `rename` with the names of the colours swapped, in sight and sentence alike."""
+    def _renamed_inputs(self, steps: Steps) -> Tensor:
+        """[N, F + V] reward inputs. Each step has its colours permuted with probability `rename_prob`."""
         if not self.config.rename_prob:
-            return self._sight(steps.state, steps.goal)
-        states, goals = self._sight.renamings
-        swapped = self._rng.random(len(steps)) < self.config.rename_prob
-        names = torch.from_numpy(np.where(swapped, self._rng.integers(len(states), size=len(steps)), 0))
+            return self._features.reward_inputs(steps.state, steps.goal)
+        states, goals = self._features.colour_permutations
+        renamed = self._rng.random(len(steps)) < self.config.rename_prob
+        permutation = torch.from_numpy(np.where(renamed, self._rng.integers(len(states), size=len(steps)), 0))
         state, goal = torch.from_numpy(steps.state), torch.from_numpy(steps.goal)
-        return torch.cat([states[names, state], goals[names, goal]], dim=1)
+        return torch.cat([states[permutation, state], goals[permutation, goal]], dim=1)
 
-    def _shaping(self, steps: Steps, seen: Tensor, policy: QNet) -> Tensor:
-        """gamma h(s') - h(s) - log pi(a | s), what AIRL (Fu, Luo and Levine 2018) adds to r(s, a)."""
-        following = self.potential(self._sight(steps.following, steps.goal))
-        shaped = self._gamma * following - self.potential(seen)
+    def _shaping(self, steps: Steps, inputs: Tensor, policy: QNet) -> Tensor:
+        """[N] gamma h(s') - h(s) - log pi(a | s), the terms that AIRL adds to r(s, a) (Fu, Luo and Levine 2018)."""
+        following = self.potential(self._features.reward_inputs(steps.following, steps.goal))
+        shaping = self._gamma * following - self.potential(inputs)
         with torch.no_grad():
-            pi = policy.log_policy(self._sight.wide(steps.state, steps.goal))
+            pi = policy.log_policy(self._features.policy_inputs(steps.state, steps.goal))
             logp = pi.gather(1, torch.from_numpy(steps.action)[:, None]).squeeze(1)
-        difference: Tensor = shaped - logp
+        difference: Tensor = shaping - logp
         return difference
 
 
 class GridSoftQ:
-    """Soft Q-learning (Haarnoja et al. 2017) from new steps, old ones and chance's.
+    """Soft Q-learning (Haarnoja et al. 2017) from the replay buffer and the steps of the random policy.
 
-    `net`, the moving average of `q`, is the target net, and the policy that acts: it does not follow every gradient.
+    `net`, the moving average of `q`, is both the target network and the policy that acts.
     """
 
     def __init__(
-        self, config: Config, sight: GridFeatures, goals: Index, chance: Steps, rng: np.random.Generator
+        self, config: Config, features: GridFeatures, goals: Index, random: Steps, rng: np.random.Generator
     ) -> None:
-        self.config, self._grid, self._sight, self._rng = config.policy, config.grid, sight, rng
-        self._goals = goals  # [G] the sentences that training may see
+        self.config, self._grid, self._features, self._rng = config.policy, config.grid, features, rng
+        self._goals = goals  # [G] the sentences that training may use
         self.scale = config.discriminator.clip
-        self.q = QNet(sight.far_width, 2 * config.net.width, self.config.entropy, self.scale)
-        self.net = QNet(sight.far_width, 2 * config.net.width, self.config.entropy, self.scale)
+        self.q = QNet(features.policy_width, 2 * config.net.width, self.config.entropy, self.scale)
+        self.net = QNet(features.policy_width, 2 * config.net.width, self.config.entropy, self.scale)
         self.net.load_state_dict(self.q.state_dict())
         self.optimiser = torch.optim.Adam(self.q.parameters(), lr=self.config.learning_rate, fused=True)
-        self._chance, self.old = chance, NOTHING
+        self._random, self.replay = random, NO_STEPS
 
     def update(self, rollouts: Steps, rewards: Tensor, reward_fn: RewardFn) -> dict[str, float]:
-        """Steps of gradient descent on the soft Bellman error, on steps old and new.
+        """Gradient steps on the squared soft Bellman error, half on the replay buffer and half on random steps.
 
-        Each is learned from under any of the sentences, whichever it was played under (hindsight relabelling,
-        Andrychowicz et al. 2017): `ask` tells what it would have earned, and today.
+        Each step is relabelled with a random sentence (hindsight relabelling, Andrychowicz et al. 2017), and
+        `reward_fn` computes its current reward under that sentence. `rewards` [N] are only reported.
         """
         batch, updates, rng = self._grid.batch, self.config.updates, self._rng
-        self.old = Steps.join([self.old, rollouts])
-        drawn = Steps.join([self.old.draw(updates * batch // 2, rng), self._chance.draw(updates * batch // 2, rng)])
-        drawn = drawn.pick(rng.permutation(len(drawn))).under(rng.choice(self._goals, size=len(drawn)))
-        told = reward_fn(drawn) / self.scale
-        wide = self._sight.wide
-        seen, after = wide(drawn.state, drawn.goal), wide(drawn.following, drawn.goal)
-        action = torch.from_numpy(drawn.action)[:, None]
+        self.replay = Steps.join([self.replay, rollouts])
+        half = updates * batch // 2
+        steps = Steps.join([self.replay.sample(half, rng), self._random.sample(half, rng)])
+        steps = steps.pick(rng.permutation(len(steps))).with_goals(rng.choice(self._goals, size=len(steps)))
+        reward = reward_fn(steps) / self.scale
+        inputs = self._features.policy_inputs(steps.state, steps.goal)
+        following = self._features.policy_inputs(steps.following, steps.goal)
+        action = torch.from_numpy(steps.action)[:, None]
         losses = []
         for i in range(updates):
-            part = slice(i * len(drawn) // updates, (i + 1) * len(drawn) // updates)
+            part = slice(i * len(steps) // updates, (i + 1) * len(steps) // updates)
             with torch.no_grad():
-                target = soft_target(told[part], self.net(after[part]), self.config.gamma, self._temperature)
-            loss = functional.mse_loss(self.q(seen[part]).gather(1, action[part]).squeeze(1), target)
+                target = soft_target(reward[part], self.net(following[part]), self.config.gamma, self._temperature)
+            loss = functional.mse_loss(self.q(inputs[part]).gather(1, action[part]).squeeze(1), target)
             self.optimiser.zero_grad()
             loss.backward()
             self.optimiser.step()
@@ -188,18 +190,18 @@ def soft_target(reward: Tensor, q: Tensor, gamma: float, temperature: float) -> 
 
 
 class GridCloner:
-    """Behavioural cloning with a net of the same shape as Q's."""
+    """Behavioural cloning with a network of the same shape as the Q network."""
 
-    def __init__(self, config: Config, sight: GridFeatures) -> None:
-        self._sight = sight
-        self.net = QNet(sight.far_width, 2 * config.net.width, 1.0, 1.0)
+    def __init__(self, config: Config, features: GridFeatures) -> None:
+        self._features = features
+        self.net = QNet(features.policy_width, 2 * config.net.width, 1.0, 1.0)
         self.optimiser = torch.optim.Adam(self.net.parameters(), lr=config.cloning.learning_rate)
 
     def update(self, expert: Steps) -> dict[str, float]:
-        """One step towards the actions of the expert; those in an absorbing end teach nothing."""
-        shown = expert.pick(np.flatnonzero(expert.state != self._sight.end))
-        logp = self.net.log_policy(self._sight.wide(shown.state, shown.goal))
-        loss = functional.nll_loss(logp, torch.from_numpy(shown.action))
+        """One gradient step on the negative log-likelihood of the expert's actions, without the absorbing end state."""
+        steps = expert.pick(np.flatnonzero(expert.state != self._features.end_state))
+        logp = self.net.log_policy(self._features.policy_inputs(steps.state, steps.goal))
+        loss = functional.nll_loss(logp, torch.from_numpy(steps.action))
         self.optimiser.zero_grad()
         loss.backward()
         self.optimiser.step()
@@ -207,47 +209,51 @@ class GridCloner:
 
 
 class GridLearner:
-    """pi_theta and D_phi of LanguageGridCraft and what trains them. The config's seed fixes every number."""
+    """The complete training state in LanguageGridCraft: networks, optimisers, demonstrations, replay and RNG.
+
+    The seed in the config determines every result.
+    """
 
     def __init__(self, config: Config, world: World, pairs: Sequence[Pair]) -> None:
         torch.manual_seed(config.seed)
-        self.version = 0  # steps done
+        self.version = 0  # finished iterations
         self.config, self.pairs, self.rng = config, tuple(pairs), np.random.default_rng([config.seed, 0])
         grid = config.grid
-        said = [(plain_sentence(p),) if grid.sentences == "plain" else sentences(p) for p in pairs]
-        texts = [text for some in said for text in some]
+        by_pair = [(plain_sentence(p),) if grid.sentences == "plain" else sentences(p) for p in pairs]
+        texts = [text for texts_of_pair in by_pair for text in texts_of_pair]
         self.sentences = dict(enumerate(texts))
-        self.meaning: Index = np.repeat(np.arange(len(pairs)), [len(some) for some in said])  # [G] which of the pairs
+        self.pair_index: Index = np.repeat(np.arange(len(pairs)), [len(own) for own in by_pair])  # [G] into pairs
         self.goals: Index = np.arange(len(texts))
         self.bag = BagOfWords(texts, grid.order)
-        self.sight = GridFeatures(world, texts, self.bag, grid)
-        end = self.sight.end if grid.absorbing else None
-        numbers = [np.flatnonzero(self.meaning == i).tolist() for i in range(len(pairs))]
-        shown = expert_steps(world, pairs, numbers, grid.demonstrations, EXPERT_TEMPERATURE, self.rng, end)
-        chance = random_steps(world, self.goals.tolist(), grid.random_episodes, self.rng, end)
-        self.chance_env_steps = grid.random_episodes * HORIZON
-        self.demos = GridDemos(shown, HORIZON + (end is not None), self.meaning, self.goals, self.rng)
-        self.discriminator = GridDiscriminator(config, self.sight, self.demos, chance, self.rng)
-        self.policy = GridSoftQ(config, self.sight, self.goals, chance, self.rng)
-        self.cloner = GridCloner(config, self.sight)
+        self.features = GridFeatures(world, texts, self.bag, grid)
+        end_state = self.features.end_state if grid.absorbing else None
+        goals = [np.flatnonzero(self.pair_index == i).tolist() for i in range(len(pairs))]
+        expert = expert_steps(world, pairs, goals, grid.demonstrations, EXPERT_TEMPERATURE, self.rng, end_state)
+        random = random_steps(world, self.goals.tolist(), grid.random_episodes, self.rng, end_state)
+        self.random_env_steps = grid.random_episodes * HORIZON
+        length = HORIZON + (end_state is not None)
+        self.demos = GridDemos(expert, length, self.pair_index, self.goals, self.rng)
+        self.discriminator = GridDiscriminator(config, self.features, self.demos, random, self.rng)
+        self.policy = GridSoftQ(config, self.features, self.goals, random, self.rng)
+        self.cloner = GridCloner(config, self.features)
 
     def featurise(self, episodes: Steps) -> Steps:
-        """Steps are what the nets see already."""
+        """Return the steps unchanged: they need no preprocessing."""
         return episodes
 
     def anneal(self, step: int) -> None:
-        """Set the learning rates of step 0 .. iterations - 1."""
+        """Set the learning rates for iteration `step`, from 0 to iterations - 1."""
         done = step / max(self.config.iterations - 1, 1)
         anneal_reward(self.discriminator, done)
         anneal(self.policy, done)
 
     @property
-    def acting(self) -> QNet:
-        """The policy that plays: what Algorithm 1 improves, or what was cloned."""
+    def behaviour_policy(self) -> QNet:
+        """The policy that plays: that of Algorithm 1, or the cloned one for algorithm "cloning"."""
         return self.cloner.net if self.config.algorithm == "cloning" else self.policy.net
 
     def nets(self) -> dict[str, nn.Module]:
-        """What was learned, by name."""
+        """The trained networks by name."""
         return {
             "reward": self.discriminator.net,
             "potential": self.discriminator.potential,
@@ -256,25 +262,25 @@ class GridLearner:
         }
 
     def save(self, folder: Path) -> None:
-        """Write everything that the next step depends on, and the seed does not tell, into an empty folder."""
+        """Write the training state into an empty folder, except what the seed reproduces (demonstrations)."""
         for name, net in self._saved_nets().items():
             (folder / f"{name}.safetensors").write_bytes(seal_net(net, self.version).blob)
         for name, part in self._parts().items():
             (folder / f"{name}_optimiser.safetensors").write_bytes(seal_optimiser(part.optimiser))
-        (folder / "reward_replay.safetensors").write_bytes(self.discriminator.old.seal())
-        (folder / "policy_replay.safetensors").write_bytes(self.policy.old.seal())
+        (folder / "reward_replay.safetensors").write_bytes(self.discriminator.replay.to_bytes())
+        (folder / "policy_replay.safetensors").write_bytes(self.policy.replay.to_bytes())
         state = {"version": self.version, "accuracy": self.discriminator.accuracy, "rng": self.rng.bit_generator.state}
         (folder / "learner.json").write_text(json.dumps(state, indent=2))
 
     def load(self, folder: Path) -> None:
-        """The inverse of `save`; ValueError when the checkpoint is of other nets."""
+        """Restore what `save` wrote. ValueError if the checkpoint belongs to networks of another shape."""
         state: dict[str, Any] = json.loads((folder / "learner.json").read_text())
         for name, net in self._saved_nets().items():
             load_net(net, Weights.seal(state["version"], (folder / f"{name}.safetensors").read_bytes()))
         for name, part in self._parts().items():
             load_optimiser(part.optimiser, (folder / f"{name}_optimiser.safetensors").read_bytes())
-        self.discriminator.old = Steps.unseal((folder / "reward_replay.safetensors").read_bytes())
-        self.policy.old = Steps.unseal((folder / "policy_replay.safetensors").read_bytes())
+        self.discriminator.replay = Steps.from_bytes((folder / "reward_replay.safetensors").read_bytes())
+        self.policy.replay = Steps.from_bytes((folder / "policy_replay.safetensors").read_bytes())
         self.rng.bit_generator.state = state["rng"]
         self.version, self.discriminator.accuracy = state["version"], state["accuracy"]
 

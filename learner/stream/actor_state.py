@@ -1,45 +1,45 @@
-"""What the learner knows of one actor: which of its episodes have been judged, and how far it may send."""
+"""Delivery state of one actor on the learner's side: which episodes are acknowledged, and how far it may send."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from giirl_core.wire.delivery import Before, Grant, Notice
+from giirl_core.wire.delivery import Grant, IncarnationCounts, Notice
 from learner.stream.snapshot import ActorOffsets
 
 
 @dataclass(slots=True, kw_only=True)
 class ActorState:
-    """One incarnation of one actor."""
+    """One incarnation of one actor. Sequence numbers count the episodes of this incarnation, from 0."""
 
     actor: str
     incarnation: int
-    low_watermark: int = 0  # every sequence below has been judged
-    acked: set[int] = field(default_factory=set)  # and these above it
-    committed: int = 0  # every sequence below is covered by a checkpoint
-    settled: int = 0  # incarnations below are closed in a checkpoint
-    finished: int = 0  # as far as is known
-    notice: int = 0  # the last that was heard
-    full: bool = False  # it asked for a checkpoint
-    queued: int = 0
-    peer: bytes | None = None  # None: gone, or known from a checkpoint alone
-    heard_s: float = 0.0
+    low_watermark: int = 0  # every sequence number below is acknowledged
+    acked: set[int] = field(default_factory=set)  # acknowledged sequence numbers above the watermark
+    committed: int = 0  # every sequence number below is covered by a checkpoint
+    settled: int = 0  # the losses of all incarnations below are covered by a checkpoint
+    finished: int = 0  # episodes the actor is known to have finished
+    notice: int = 0  # number of the last notice received
+    full: bool = False  # the actor's buffer is nearly full, so it asked for a checkpoint
+    queued: int = 0  # episodes waiting in the learner's queue
+    peer: bytes | None = None  # ZeroMQ identity; None after a BYE, or when only known from a checkpoint
+    last_heard_s: float = 0.0  # monotonic time
 
     @classmethod
-    def resume(cls, mark: ActorOffsets) -> ActorState:
-        """As a checkpoint has it."""
+    def from_offsets(cls, offsets: ActorOffsets) -> ActorState:
+        """Restore the state from a checkpoint."""
         return cls(
-            actor=mark.actor,
-            incarnation=mark.incarnation,
-            low_watermark=mark.low_watermark,
-            acked=set(mark.acked),
-            committed=mark.low_watermark,
-            settled=mark.incarnation,
-            finished=mark.finished,
+            actor=offsets.actor,
+            incarnation=offsets.incarnation,
+            low_watermark=offsets.low_watermark,
+            acked=set(offsets.acked),
+            committed=offsets.low_watermark,
+            settled=offsets.incarnation,
+            finished=offsets.finished,
         )
 
-    def mark(self) -> ActorOffsets:
-        """As a checkpoint should have it."""
+    def offsets(self) -> ActorOffsets:
+        """The part of the state that a checkpoint stores."""
         return ActorOffsets(
             actor=self.actor,
             incarnation=self.incarnation,
@@ -49,8 +49,8 @@ class ActorState:
         )
 
     @property
-    def done(self) -> int:
-        """How many of its episodes are judged."""
+    def acked_count(self) -> int:
+        """The number of acknowledged episodes."""
         return self.low_watermark + len(self.acked)
 
     def is_acked(self, sequence: int) -> bool:
@@ -59,37 +59,40 @@ class ActorState:
     def ack(self, sequence: int) -> None:
         self.acked.add(sequence)
         self.finished = max(self.finished, sequence + 1)
-        self._rise()
+        self._advance_watermark()
 
-    def note(self, notice: Notice) -> None:
-        """Take down what the actor says of itself."""
+    def update(self, notice: Notice) -> None:
+        """Apply a notice from the actor."""
         self.notice = max(self.notice, notice.number)
         self.finished = max(self.finished, notice.finished)
         self.full = notice.full
 
     def skip_to(self, sequence: int) -> int:
-        """The actor keeps nothing below; returns how many of those never came."""
-        below = {judged for judged in self.acked if judged < sequence}
-        missing = max(0, sequence - self.low_watermark) - len(below)
-        self.acked -= below
+        """Acknowledge every sequence number below `sequence`; returns how many of those episodes never arrived."""
+        acked_below = {acked for acked in self.acked if acked < sequence}
+        missing = max(0, sequence - self.low_watermark) - len(acked_below)
+        self.acked -= acked_below
         self.low_watermark = max(self.low_watermark, sequence)
-        self._rise()
+        self._advance_watermark()
         return missing
 
-    def succeeded_by(self, before: Before) -> int:
-        """How many episodes this incarnation, and later ones, took with them, by what their successor knows."""
+    def lost_with(self, before: IncarnationCounts) -> int:
+        """The number of episodes that were lost with this incarnation and with later ones that also ended.
+
+        `before` holds (incarnation, episodes finished) pairs, as the actor's successor reports them.
+        """
         finished = max(self.finished, dict(before).get(self.incarnation, 0))
-        between = sum(count for incarnation, count in before if incarnation > self.incarnation)
-        return max(0, finished - self.done) + between
+        in_between = sum(count for incarnation, count in before if incarnation > self.incarnation)
+        return max(0, finished - self.acked_count) + in_between
 
     @property
     def wants_commit(self) -> bool:
-        """Whether a checkpoint would free an actor that waits for one."""
+        """Whether the actor waits for a checkpoint, and a checkpoint now would free some of its buffer."""
         return self.full and self.peer is not None and self.low_watermark > self.committed
 
-    def limit(self, credits_: int) -> int:
-        """It may send the sequences below."""
-        return self.done + max(0, credits_ - self.queued)
+    def send_limit(self, credits_: int) -> int:
+        """The actor may send every sequence number below this one."""
+        return self.acked_count + max(0, credits_ - self.queued)
 
     def grant(self, credits_: int) -> Grant:
         return Grant(
@@ -99,10 +102,10 @@ class ActorState:
             acked=tuple(sorted(self.acked)),
             committed=self.committed,
             settled=self.settled,
-            limit=self.limit(credits_),
+            limit=self.send_limit(credits_),
         )
 
-    def _rise(self) -> None:
+    def _advance_watermark(self) -> None:
         while self.low_watermark in self.acked:
             self.acked.remove(self.low_watermark)
             self.low_watermark += 1

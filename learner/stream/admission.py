@@ -1,8 +1,8 @@
-"""Decides, without any socket, what becomes of each episode: judged once, queued if fresh, counted if not.
+"""Admission control without sockets: each episode that an actor sends is queued once, or dropped and counted.
 
-Every episode that an actor finished is, in the history that a checkpoint and its successors make, one of: TAKEN by
-the learner, queued, or dropped for one of the reasons in DROPPED. Messages dropped for other reasons are repetitions,
-or come again.
+In the history of a checkpoint and the checkpoints before it, every episode that an actor finished is TAKEN by the
+learner, queued, or dropped for one of the reasons in DROPPED. Messages rejected for any other reason are duplicates,
+or the actor sends them again.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from giirl_core.metrics import Metrics
 from giirl_core.types import DEMONSTRATION, UNSCORED, Episode
 from giirl_core.wire import delivery
 from giirl_core.wire import messages as wire
-from giirl_core.wire.columns import Columns
-from giirl_core.wire.messages import Header, Stamp, WireError
+from giirl_core.wire.delivery import EpisodeMessage, Notice
+from giirl_core.wire.messages import Stamp, WireError
 from learner.stream.actor_state import ActorState
 from learner.stream.snapshot import IngestSnapshot
 
@@ -30,31 +30,29 @@ DROPPED = ("stale", "stale_queued", "invalid", "repeated", "held_out", "lost")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IngestLimits:
-    """How far actors may run ahead, and how far behind their policy may be."""
+    """How far actors may run ahead of the learner, and how old the policy of an episode may be."""
 
-    credits: int = 4  # episodes of one actor on their way or in the queue
-    max_lag: int = 4  # versions; older episodes are dropped, on arrival and again in the queue; 0 is lock-step
-    max_bytes: int = 256 << 20  # in the queue, as they came; then nobody has credits
+    credits: int = 4  # episodes of one actor that may be in flight or queued
+    max_lag: int = 4  # policy versions; older episodes are dropped on arrival and in the queue; 0 means lock-step
+    max_bytes: int = 256 << 20  # encoded bytes in the queue; above this no actor has credits
 
     def __post_init__(self) -> None:
         if self.credits < 1 or self.max_lag < 0 or self.max_bytes < 1:
-            raise ValueError(f"{self} lets nothing in: wanted credits and max_bytes from 1 and max_lag from 0")
+            raise ValueError(f"{self} admits no episode: wanted credits and max_bytes >= 1 and max_lag >= 0")
 
 
 @dataclass(slots=True, kw_only=True)
 class _Queued:
-    """An episode as it came. It becomes one of ours when it is taken or saved, by the thread that does so."""
+    """An episode in the queue. The thread that takes or saves it builds it, not the thread that receives it."""
 
-    header: Header
-    arrays: Columns
+    message: EpisodeMessage
     episode: Episode | None = None
-    version: int  # of its policy
+    policy_version: int
     owner: ActorState
-    size: int
 
 
 class Admission:
-    """The books of the ingest. Whoever shares one between threads holds a lock around every call."""
+    """The delivery state of all actors. Not thread-safe: threads that share one must hold a lock around every call."""
 
     def __init__(
         self,
@@ -64,7 +62,7 @@ class Admission:
         reward_version: Callable[[], int] | None,
         limits: IngestLimits,
         metrics: Metrics,
-        held: IngestSnapshot,
+        snapshot: IngestSnapshot,
         held_out: float = 0.0,
     ) -> None:
         self._run = run
@@ -72,94 +70,92 @@ class Admission:
         self._reward_version = reward_version
         self._limits = limits
         self._metrics = metrics
-        self._queue: deque[_Queued] = deque()
-        self._bytes = 0
-        self._taken: list[Episode] = list(held.episodes)  # of a take that has not come to its end
         self._held_out = held_out
-        self._untold: set[str] = set()  # actors whose grant has changed
-        self._actors = {mark.actor: ActorState.resume(mark) for mark in held.marks}
-        self._counts = Counter(held.counts)
+        self._queue: deque[_Queued] = deque()
+        self._queued_bytes = 0
+        self._pulled: list[Episode] = list(snapshot.episodes)  # out of the queue, but the batch is still too small
+        self._grants_due: set[str] = set()  # actors whose grant has changed
+        self._actors = {offsets.actor: ActorState.from_offsets(offsets) for offsets in snapshot.offsets}
+        self._counts = Counter(snapshot.counts)
 
     @property
     def queued(self) -> int:
-        return len(self._queue) + len(self._taken)
+        return len(self._queue) + len(self._pulled)
 
     @property
     def wants_commit(self) -> bool:
-        """Whether an actor can go on only after a checkpoint."""
+        """Whether an actor has to wait for a checkpoint before it can go on."""
         return any(actor.wants_commit for actor in self._actors.values())
 
     def receive(self, peer: bytes, message: bytes) -> bytes | None:
-        """Take in one message; returns what has to be answered at once."""
+        """Process one message from an actor; returns the reply to send at once, if any."""
         try:
-            header, arrays = wire.decode(message)
-            stamp = wire.read_stamp(header)
-            notice = delivery.read_notice(header, stamp) if header["kind"] in delivery.NOTICES else None
+            received = delivery.parse(message)
         except WireError as error:
-            LOG.warning("dropped a message of %r: %s", peer, error)
-            self._refused("damaged")
+            LOG.warning("dropped a message from %r: %s", peer, error)
+            self._count_rejected("damaged")
             return None
-        if stamp.run != self._run:
-            return self._refuse(header["kind"], delivery.OTHER_RUN, stamp)
+        stamp = received.stamp
+        if reason := self._why_refused(stamp):
+            if isinstance(received, EpisodeMessage):
+                self._count_rejected(reason)
+            return delivery.encode_refused(reason, stamp)
+        if isinstance(received, Notice) and received.kind == delivery.HELLO:
+            self._register(received, peer)
         actor = self._actors.get(stamp.actor)
-        if actor and stamp.incarnation < actor.incarnation:
-            return self._refuse(header["kind"], delivery.FENCED, stamp)
-        if notice and notice.kind == delivery.HELLO:
-            actor = self._register(notice)
-            actor.peer = peer
-        elif actor is None or stamp.incarnation > actor.incarnation or actor.peer != peer:
-            return delivery.encode_who()
-        elif notice is None:
-            self._accept(actor, stamp, header, arrays, len(message))
-        if notice:
-            actor.note(notice)
-        if notice and notice.kind == delivery.BYE:
-            self._drop("lost", actor.skip_to(actor.finished))
-            actor.peer = None
-        actor.heard_s = time.monotonic()
-        self._untold.add(stamp.actor)
+        if actor is None or stamp.incarnation > actor.incarnation or actor.peer != peer:
+            return delivery.encode_unknown_actor()
+        if isinstance(received, EpisodeMessage):
+            self._accept(actor, received)
+        else:
+            actor.update(received)
+            if received.kind == delivery.BYE:
+                self._drop("lost", actor.skip_to(actor.finished))
+                actor.peer = None
+        actor.last_heard_s = time.monotonic()
+        self._grants_due.add(stamp.actor)
         return None
 
     def pull(self, episodes: int) -> list[Episode] | None:
-        """The next so many fresh episodes; None, and they stay here, while there are too few.
+        """Remove and return the next `episodes` fresh episodes; None, and nothing is lost, while there are too few.
 
-        In lock-step they come in an order of their own, whoever was first, and none of them twice.
+        In lock-step each page is used once, and the batch is sorted by page, so that it does not depend on timing.
         """
         version = self._policy_version()
-        fresh = [e for e in self._taken if not self._is_stale(e.trajectory.policy_version, version)]
-        self._drop("stale_queued", len(self._taken) - len(fresh))
-        self._taken = fresh
+        fresh = [e for e in self._pulled if not self._is_stale(e.trajectory.policy_version, version)]
+        self._drop("stale_queued", len(self._pulled) - len(fresh))
+        self._pulled = fresh
         pages = {_page(episode) for episode in fresh}
-        full = self._bytes >= self._limits.max_bytes
-        while self._queue and len(self._taken) < episodes:
-            episode = self._leave_queue(version)
+        was_full = self._queued_bytes >= self._limits.max_bytes
+        while self._queue and len(self._pulled) < episodes:
+            entry = self._queue.popleft()
+            self._release(entry)
+            episode = self._build(entry, version)
             if episode is None:
                 continue
             if not self._limits.max_lag and _page(episode) in pages:
                 self._drop("repeated")
             else:
                 pages.add(_page(episode))
-                self._taken.append(episode)
-        if full and self._bytes < self._limits.max_bytes:
-            self._untold.update(self._actors)
-        if len(self._taken) < episodes:
+                self._pulled.append(episode)
+        if was_full and self._queued_bytes < self._limits.max_bytes:
+            self._grants_due.update(self._actors)
+        if len(self._pulled) < episodes:
             return None
-        batch, self._taken = self._taken[:episodes], self._taken[episodes:]
+        batch, self._pulled = self._pulled[:episodes], self._pulled[episodes:]
         for episode in batch:
-            self._observe(episode, version)
+            self._observe_lag(episode, version)
         self._counts[TAKEN] += len(batch)
         return batch if self._limits.max_lag else sorted(batch, key=_page)
 
     def grants(self) -> list[tuple[bytes, bytes]]:
-        """What has to be told to whom, once."""
-        told = [self._actors[name] for name in sorted(self._untold)]
-        self._untold.clear()
-        return [
-            (actor.peer, delivery.encode_grant(actor.grant(self._credits))) for actor in told if actor.peer is not None
-        ]
+        """(peer, encoded grant) for every actor whose grant has changed since the last call."""
+        due = [self._actors[name] for name in sorted(self._grants_due)]
+        self._grants_due.clear()
+        return [(a.peer, delivery.encode_grant(a.grant(self._credits))) for a in due if a.peer is not None]
 
     def snapshot(self) -> IngestSnapshot:
-        """Everything accepted and not yet pulled, what has been judged, and what became of it."""
+        """The state that a checkpoint has to store. Drops queued episodes that are stale or invalid."""
         version, kept = self._policy_version(), deque[_Queued]()
         for entry in self._queue:
             if self._build(entry, version):
@@ -168,128 +164,131 @@ class Admission:
                 self._release(entry)
         self._queue = kept
         return IngestSnapshot(
-            episodes=(*self._taken, *(entry.episode for entry in kept if entry.episode is not None)),
-            marks=tuple(actor.mark() for actor in self._actors.values()),
+            episodes=(*self._pulled, *(entry.episode for entry in kept if entry.episode is not None)),
+            offsets=tuple(actor.offsets() for actor in self._actors.values()),
             counts=dict(self._counts),
         )
 
-    def commit(self, held: IngestSnapshot) -> None:
-        """A checkpoint covers `held`: its actors may forget what it marks."""
-        for mark in held.marks:
-            actor = self._actors.get(mark.actor)
-            if actor is None:
+    def commit(self, snapshot: IngestSnapshot) -> None:
+        """A checkpoint with `snapshot` is on disk: actors may discard the episodes that it covers."""
+        for offsets in snapshot.offsets:
+            if (actor := self._actors.get(offsets.actor)) is None:
                 continue
-            if actor.incarnation == mark.incarnation:
-                actor.committed = max(actor.committed, mark.low_watermark)
-            actor.settled = max(actor.settled, mark.incarnation)
-            self._untold.add(mark.actor)
+            if actor.incarnation == offsets.incarnation:
+                actor.committed = max(actor.committed, offsets.low_watermark)
+            actor.settled = max(actor.settled, offsets.incarnation)
+            self._grants_due.add(offsets.actor)
 
-    def retire(self, name: str, finished: delivery.Before) -> None:
-        """An actor has gone for good; its incarnations finished so much, by its own count. What never came is lost."""
+    def retire(self, name: str, finished: delivery.IncarnationCounts) -> None:
+        """Remove an actor for good. Of `finished`, its own count per incarnation, what never arrived is lost."""
         actor = self._actors.get(name) or ActorState(actor=name, incarnation=-1)
-        self._drop("lost", actor.succeeded_by(finished))
+        self._drop("lost", actor.lost_with(finished))
         incarnation, count = max([(actor.incarnation, max(actor.finished, actor.low_watermark)), *finished])
         if incarnation >= 0:
-            self._actors[name] = gone = ActorState(actor=name, incarnation=incarnation, settled=actor.settled)
-            gone.low_watermark = gone.finished = count
+            self._actors[name] = retired = ActorState(actor=name, incarnation=incarnation, settled=actor.settled)
+            retired.low_watermark = retired.finished = count
 
     def extend_deadlines(self, seconds: float) -> None:
-        """Nobody could be heard for so long."""
+        """Do not count the last `seconds` as silence: this process was not listening."""
         for actor in self._actors.values():
-            actor.heard_s += seconds
+            actor.last_heard_s += seconds
 
     def silent_for_s(self, name: str) -> float:
-        """How long ago an actor was heard; infinite when it never was, or has said good-bye."""
+        """Seconds since the actor's last message; infinite if there was none, or if the last one was BYE."""
         actor = self._actors.get(name)
-        return time.monotonic() - actor.heard_s if actor and actor.peer is not None else float("inf")
+        return time.monotonic() - actor.last_heard_s if actor and actor.peer is not None else float("inf")
 
     def describe_shortage(self) -> str:
-        """Who is to be asked why there are too few episodes."""
+        """How many episodes are queued and when actors were last heard, for an error message."""
         heard = [f"{name} {self.silent_for_s(name):.1f} s ago" for name in sorted(self._actors)[:8]]
-        return f"{self.queued} wait; of {len(self._actors)} actors heard: {', '.join(heard) or 'none'}"
+        return f"{self.queued} queued; last messages from {len(self._actors)} actors: {', '.join(heard) or 'none'}"
 
     @property
     def _credits(self) -> int:
-        return self._limits.credits if self._bytes < self._limits.max_bytes else 0
+        return self._limits.credits if self._queued_bytes < self._limits.max_bytes else 0
 
-    def _register(self, notice: delivery.Notice) -> ActorState:
-        stamp = notice.stamp
+    def _why_refused(self, stamp: Stamp) -> str:
+        """Why the learner will never accept this actor incarnation; "" if it may."""
+        if stamp.run != self._run:
+            return delivery.OTHER_RUN
+        actor = self._actors.get(stamp.actor)
+        return delivery.FENCED if actor and stamp.incarnation < actor.incarnation else ""
+
+    def _register(self, hello: Notice, peer: bytes) -> None:
+        stamp = hello.stamp
         actor = self._actors.get(stamp.actor)
         if actor is None or actor.incarnation < stamp.incarnation:
-            before = actor or ActorState(actor=stamp.actor, incarnation=-1)
-            self._drop("lost", before.succeeded_by(notice.before))
-            actor = ActorState(actor=stamp.actor, incarnation=stamp.incarnation, settled=before.settled)
+            previous = actor or ActorState(actor=stamp.actor, incarnation=-1)
+            self._drop("lost", previous.lost_with(hello.before))
+            actor = ActorState(actor=stamp.actor, incarnation=stamp.incarnation, settled=previous.settled)
             self._actors[stamp.actor] = actor
         self._drop("lost", actor.skip_to(stamp.sequence))
-        return actor
+        actor.peer = peer
 
-    def _accept(self, actor: ActorState, stamp: Stamp, header: Header, arrays: Columns, size: int) -> None:
-        if actor.is_acked(stamp.sequence):
-            return self._refused("duplicate")
-        if stamp.sequence >= actor.limit(self._credits):
-            return self._refused("over_credit")  # not judged: it will come again
-        self._metrics.trajectories_received.inc()
-        actor.ack(stamp.sequence)
-        if type(version := header.get("policy_version")) is not int or version <= DEMONSTRATION:
-            return self._drop_invalid(stamp.actor, WireError(f"a rollout has policy version {version!r:.80}"))
-        if self._is_stale(version, self._policy_version()):
-            return self._drop("stale")
-        self._queue.append(_Queued(header=header, arrays=arrays, version=version, owner=actor, size=size))
-        self._bytes += size
-        actor.queued += 1
+    def _accept(self, actor: ActorState, message: EpisodeMessage) -> None:
+        sequence = message.stamp.sequence
+        if actor.is_acked(sequence):
+            self._count_rejected("duplicate")
+        elif sequence >= actor.send_limit(self._credits):
+            self._count_rejected("over_credit")  # not acknowledged, so the actor sends it again
+        else:
+            self._metrics.trajectories_received.inc()
+            actor.ack(sequence)
+            self._enqueue(actor, message)
 
-    def _leave_queue(self, version: int) -> Episode | None:
-        """The next one; None when it is not worth having."""
-        entry = self._queue.popleft()
-        self._release(entry)
-        return self._build(entry, version)
+    def _enqueue(self, actor: ActorState, message: EpisodeMessage) -> None:
+        version = message.header.get("policy_version")
+        if type(version) is not int or version <= DEMONSTRATION:
+            self._drop_invalid(actor.actor, f"policy_version is {version!r:.80}, wanted an int >= 0")
+        elif self._is_stale(version, self._policy_version()):
+            self._drop("stale")
+        else:
+            self._queue.append(_Queued(message=message, policy_version=version, owner=actor))
+            self._queued_bytes += message.size
+            actor.queued += 1
 
     def _release(self, entry: _Queued) -> None:
-        """It waits no longer: its actor may send another."""
-        self._bytes -= entry.size
+        """Give the credit of an episode that leaves the queue back to its actor."""
+        self._queued_bytes -= entry.message.size
         entry.owner.queued -= 1
-        self._untold.add(entry.owner.actor)
+        self._grants_due.add(entry.owner.actor)
 
     def _build(self, entry: _Queued, version: int) -> Episode | None:
-        if self._is_stale(entry.version, version):
+        """The episode of an entry; None, and counted as dropped, if it is stale, invalid or held out."""
+        if self._is_stale(entry.policy_version, version):
             self._drop("stale_queued")
             return None
         if entry.episode is None:
             try:
-                entry.episode = wire.build_episode(entry.header, entry.arrays)
+                entry.episode = wire.build_episode(entry.message.header, entry.message.arrays)
             except WireError as error:
-                self._drop_invalid(entry.owner.actor, error)
+                self._drop_invalid(entry.owner.actor, str(error))
                 return None
             if is_held_out(entry.episode.trajectory.goal, self._held_out):
                 self._drop("held_out")
                 return None
         return entry.episode
 
-    def _drop_invalid(self, actor: str, error: WireError) -> None:
-        LOG.warning("dropped an episode of %s: %s", actor, error)
-        self._drop("invalid")
+    def _is_stale(self, behaviour_version: int, version: int) -> bool:
+        # After the learner has gone back to a checkpoint, actors may still play with a later policy: also off-policy.
+        return abs(version - behaviour_version) > self._limits.max_lag
 
-    def _is_stale(self, played: int, version: int) -> bool:
-        # A policy from ahead of a learner that went back to a checkpoint is as far away as one from behind.
-        return abs(version - played) > self._limits.max_lag
-
-    def _observe(self, episode: Episode, version: int) -> None:
+    def _observe_lag(self, episode: Episode, version: int) -> None:
         self._metrics.policy_lag.observe(max(0, version - episode.trajectory.policy_version))
         if self._reward_version and episode.trajectory.reward_version != UNSCORED:
             self._metrics.reward_lag.observe(max(0, self._reward_version() - episode.trajectory.reward_version))
 
-    def _refuse(self, kind: str, reason: str, stamp: Stamp) -> bytes:
-        if kind == delivery.EPISODE:
-            self._refused(reason)
-        return delivery.encode_refused(reason, stamp)
-
-    def _refused(self, reason: str) -> None:
-        """A message that is no new episode, or not yet."""
+    def _count_rejected(self, reason: str) -> None:
+        """Count a message that brought no new episode, or one that is sent again."""
         self._metrics.trajectories_received.inc()
         self._metrics.trajectories_dropped.labels(reason).inc()
 
+    def _drop_invalid(self, actor: str, problem: str) -> None:
+        LOG.warning("dropped an invalid episode from %s: %s", actor, problem)
+        self._drop("invalid")
+
     def _drop(self, reason: str, episodes: int = 1) -> None:
-        """An episode that will not be trained on."""
+        """Count episodes that are finished but will not be trained on."""
         assert reason in DROPPED
         if episodes:
             self._counts[reason] += episodes

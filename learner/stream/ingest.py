@@ -1,4 +1,4 @@
-"""Where episodes reach the learner: a thread hears the actors while the learner computes."""
+"""The learner's end of the episode stream: a thread receives episodes from the actors while the learner computes."""
 
 from __future__ import annotations
 
@@ -8,18 +8,21 @@ from collections.abc import Callable
 
 from giirl_core.metrics import Metrics, waiting
 from giirl_core.types import Episode
-from giirl_core.wire.delivery import Before
+from giirl_core.wire.delivery import IncarnationCounts
 from giirl_core.wire.transport import Keys, Router
 from learner.stream.admission import Admission, IngestLimits
 from learner.stream.snapshot import IngestSnapshot
 
-TICK_S = 0.1  # how soon the thread notices that it should stop
-DEAF_S = 5.0  # between two turns of a process that runs there is far less
-MAX_BURST = 256  # messages heard before grants are told
+TICK_S = 0.1  # longest wait for a message; bounds how long `close` takes
+STALL_S = 5.0  # a longer gap between two rounds means that this process was suspended
+MAX_BURST = 256  # messages processed before grants are sent
 
 
 class Ingest:
-    """Actors on one side, `take` on the other. A lock guards the books; the socket is the thread's alone."""
+    """Receives episodes from actors; `take` returns them. Thread-safe, except for `close`.
+
+    A lock guards the admission state. The socket belongs to the ingest thread.
+    """
 
     def __init__(
         self,
@@ -32,85 +35,90 @@ class Ingest:
         limits: IngestLimits | None = None,
         keys: Keys | None = None,
         metrics: Metrics | None = None,
-        held: IngestSnapshot | None = None,
+        snapshot: IngestSnapshot | None = None,
         held_out: float = 0.0,
     ) -> None:
         self._metrics = metrics or Metrics()
-        self._books = Admission(
+        self._admission = Admission(
             run,
             policy_version,
             reward_version=reward_version,
             limits=limits or IngestLimits(),
             metrics=self._metrics,
-            held=held or IngestSnapshot(),
+            snapshot=snapshot or IngestSnapshot(),
             held_out=held_out,
         )
         self._refusals = 0
         self._listened_s = time.monotonic()
         self._lock = threading.Condition()
-        self._broken: BaseException | None = None
+        self._error: BaseException | None = None
         self._stop = threading.Event()
         self._router = Router(host, port, keys=keys)
         self.address = self._router.address
-        self._thread = threading.Thread(target=self._pump, name="ingest", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="ingest", daemon=True)
         self._thread.start()
 
     def take(self, episodes: int, timeout_s: float) -> list[Episode]:
-        """The next `episodes` fresh ones, in order of arrival. On TimeoutError those that came stay here."""
+        """Wait for the next `episodes` fresh episodes, in order of arrival.
+
+        Raises TimeoutError when there are fewer after `timeout_s`; those stay in the queue.
+        Raises RuntimeError when the ingest thread has failed.
+        """
         deadline_s = time.monotonic() + timeout_s
         with waiting(self._metrics, "rollouts"), self._lock:
             while True:
-                batch = self._books.pull(episodes)
-                self._router.wake()  # credits were freed
+                batch = self._admission.pull(episodes)
+                self._router.wake()  # credits were freed, so grants are due
                 if batch is not None:
                     return batch
-                if self._broken:
-                    raise RuntimeError(f"the ingest thread ended: {self._broken!r}") from self._broken
+                if self._error:
+                    raise RuntimeError(f"the ingest thread failed: {self._error!r}") from self._error
                 left_s = deadline_s - time.monotonic()
                 if left_s <= 0:
                     raise TimeoutError(
-                        f"no {episodes} episodes within {timeout_s} s: {self._books.describe_shortage()}"
+                        f"fewer than {episodes} episodes arrived within {timeout_s} s: "
+                        f"{self._admission.describe_shortage()}"
                     )
                 self._lock.wait(left_s)
 
     def snapshot(self) -> IngestSnapshot:
-        """Everything accepted and not yet taken, and what has been judged, at one moment."""
+        """The state at this moment, for a checkpoint: queued episodes, actor offsets and episode counts."""
         with self._lock:
-            return self._books.snapshot()
+            return self._admission.snapshot()
 
-    def committed(self, held: IngestSnapshot) -> None:
-        """A checkpoint with this snapshot is on the disk: actors may forget what it covers.
+    def commit(self, snapshot: IngestSnapshot) -> None:
+        """Tell actors that a checkpoint with `snapshot` is on disk: they may discard the episodes that it covers.
 
-        Never a later snapshot: what arrived while the checkpoint was written is not in it.
+        Pass the snapshot that was saved, not a later one: episodes that arrived since are not in the checkpoint.
         """
         with self._lock:
-            self._books.commit(held)
+            self._admission.commit(snapshot)
         self._router.wake()
 
     @property
     def wants_commit(self) -> bool:
-        """Whether an actor can go on only after a checkpoint: it keeps as many copies as it may."""
+        """Whether an actor has filled its buffer and has to wait for a checkpoint before it can go on."""
         with self._lock:
-            return self._books.wants_commit
+            return self._admission.wants_commit
 
-    def retire(self, actor: str, finished: Before) -> None:
-        """An actor has gone for good. What it finished, by its own count, and did not deliver is lost."""
+    def retire(self, actor: str, finished: IncarnationCounts) -> None:
+        """Remove an actor for good. Of `finished`, its own count per incarnation, what never arrived is lost."""
         with self._lock:
-            self._books.retire(actor, finished)
+            self._admission.retire(actor, finished)
 
     def silent_for_s(self, actor: str) -> float:
-        """How long ago an actor was last heard; infinite when it never was."""
+        """Seconds since the actor's last message; infinite if there was none, or if it has said goodbye."""
         with self._lock:
-            return self._books.silent_for_s(actor)
+            return self._admission.silent_for_s(actor)
 
     @property
     def queued(self) -> int:
-        """Episodes accepted and not yet taken."""
+        """The number of episodes that are accepted and not yet taken."""
         with self._lock:
-            return self._books.queued
+            return self._admission.queued
 
     def close(self) -> None:
-        """Stop hearing, and let go of the port."""
+        """Stop the thread and release the port."""
         self._stop.set()
         self._router.wake()
         self._thread.join(timeout=10)
@@ -118,21 +126,22 @@ class Ingest:
             raise RuntimeError("the ingest thread did not stop within 10 s")
         self._router.close()
 
-    def _pump(self) -> None:
+    def _run(self) -> None:
         try:
             while not self._stop.is_set():
-                self._turn()
+                self._run_once()
         except BaseException as error:
             with self._lock:
-                self._broken = error
+                self._error = error
                 self._lock.notify_all()
             raise
 
-    def _turn(self) -> None:
-        deaf_s, self._listened_s = time.monotonic() - self._listened_s, time.monotonic()
-        if deaf_s > DEAF_S:  # this whole process was stopped: nobody else has been silent
+    def _run_once(self) -> None:
+        """Receive a burst of messages, then send the grants that have changed."""
+        gap_s, self._listened_s = time.monotonic() - self._listened_s, time.monotonic()
+        if gap_s > STALL_S:  # this process was suspended, so the actors were not silent
             with self._lock:
-                self._books.extend_deadlines(deaf_s)
+                self._admission.extend_deadlines(gap_s)
         timeout_s = TICK_S
         for _ in range(MAX_BURST):
             received = self._router.recv(timeout_s)
@@ -141,14 +150,14 @@ class Ingest:
             timeout_s = 0.0
             peer, message = received
             with self._lock:
-                answer = self._books.receive(peer, message)
+                reply = self._admission.receive(peer, message)
                 self._lock.notify_all()
-            if answer is not None:
-                self._router.send(peer, answer)  # a peer that is gone needs no answer
+            if reply is not None:
+                self._router.send(peer, reply)  # fails if the peer is gone; then nobody needs the reply
         if (refusals := self._router.refusals) > self._refusals:
             self._metrics.connections_refused.labels("trajectories").inc(refusals - self._refusals)
             self._refusals = refusals
         with self._lock:
-            grants = self._books.grants()
+            grants = self._admission.grants()
         for peer, grant in grants:
-            self._router.send(peer, grant)  # one that misses a grant gets it again with its next beat
+            self._router.send(peer, grant)  # an actor that misses a grant gets another after its next heartbeat

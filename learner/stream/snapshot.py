@@ -1,4 +1,4 @@
-"""What the ingest holds at one moment, on disk and back: accepted episodes, what was judged, and what became of it."""
+"""A snapshot of the ingest that a checkpoint stores: queued episodes, per-actor offsets and episode counts."""
 
 from __future__ import annotations
 
@@ -13,49 +13,51 @@ from pydantic.dataclasses import dataclass as checked
 from giirl_core.types import Episode
 from giirl_core.wire.messages import read_episodes, write_episodes
 
-BOOKS, QUEUE = "actors.json", "queue.giirl"
+OFFSETS_FILE, QUEUE_FILE = "actors.json", "queue.giirl"
 STRICT = ConfigDict(extra="forbid", strict=True)
 
 
 @checked(config=STRICT, frozen=True, slots=True, kw_only=True)
 class ActorOffsets:
-    """Which episodes of an actor have been judged: what a checkpoint remembers of it."""
+    """Which episodes of one actor incarnation are acknowledged. Sequence numbers count its episodes from 0."""
 
     actor: str
     incarnation: NonNegativeInt
-    low_watermark: NonNegativeInt  # every sequence below
-    acked: tuple[NonNegativeInt, ...] = ()  # and these above it
-    finished: NonNegativeInt = 0  # by the actor, as far as was known
+    low_watermark: NonNegativeInt  # every sequence number below is acknowledged
+    acked: tuple[NonNegativeInt, ...] = ()  # acknowledged sequence numbers above the watermark
+    finished: NonNegativeInt = 0  # episodes the actor was known to have finished
 
 
 @checked(config=STRICT, frozen=True, slots=True, kw_only=True)
-class _Books:
-    marks: tuple[ActorOffsets, ...]
+class _OffsetsFile:
+    marks: tuple[ActorOffsets, ...]  # the key of IngestSnapshot.offsets in the file
     counts: dict[str, NonNegativeInt]
 
 
-_BOOKS = TypeAdapter(_Books)
+_OFFSETS_FILE = TypeAdapter(_OffsetsFile)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IngestSnapshot:
-    """What a checkpoint has to hold of the ingest: episodes accepted and not yet used, all marks and counts."""
+    """The state of the ingest at one moment."""
 
-    episodes: tuple[Episode, ...] = ()
-    marks: tuple[ActorOffsets, ...] = ()
-    counts: Mapping[str, int] = field(default_factory=dict)  # what became of how many in this history
+    episodes: tuple[Episode, ...] = ()  # accepted, and not yet taken by the learner
+    offsets: tuple[ActorOffsets, ...] = ()  # one per actor
+    counts: Mapping[str, int] = field(default_factory=dict)  # "taken" or a drop reason -> episodes so far
 
     def save(self, folder: Path) -> None:
-        write_episodes(folder / QUEUE, self.episodes)
-        books = {"marks": [asdict(mark) for mark in self.marks], "counts": dict(self.counts)}
-        (folder / BOOKS).write_text(json.dumps(books))
+        """Write both files into `folder`."""
+        write_episodes(folder / QUEUE_FILE, self.episodes)
+        content = {"marks": [asdict(offsets) for offsets in self.offsets], "counts": dict(self.counts)}
+        (folder / OFFSETS_FILE).write_text(json.dumps(content))
 
     @classmethod
     def load(cls, folder: Path) -> IngestSnapshot:
-        """The inverse of `save`; ValueError where the files are none of ours."""
+        """The inverse of `save`. Raises ValueError if a file is damaged."""
+        path = folder / OFFSETS_FILE
         try:
-            books = _BOOKS.validate_json((folder / BOOKS).read_bytes())
+            content = _OFFSETS_FILE.validate_json(path.read_bytes())
         except ValidationError as error:
             first = error.errors()[0]
-            raise ValueError(f"{folder / BOOKS} at {first['loc']}: {first['msg']}; wanted a whole checkpoint") from None
-        return cls(episodes=tuple(read_episodes(folder / QUEUE)), marks=books.marks, counts=books.counts)
+            raise ValueError(f"{path} is damaged at {first['loc']}: {first['msg']}") from None
+        return cls(episodes=tuple(read_episodes(folder / QUEUE_FILE)), offsets=content.marks, counts=content.counts)

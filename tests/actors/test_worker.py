@@ -1,4 +1,4 @@
-"""An actor's thread without browser and sockets: what it refuses, and that it leaves nothing behind."""
+"""The worker without browser and sockets: which weights it rejects, and what it delivers when it ends."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from tests.giirl_core.wire_examples import episode
 from tests.learner.samples import policy, vectors
 
 
-class Scorer:
-    """A reward service that does not answer."""
+class SilentScorer:
+    """A score client whose requests are never answered."""
 
     def __init__(self, *pending: Episode) -> None:
         self._pending: list[Any] = list(pending)
@@ -29,22 +29,22 @@ class Scorer:
     def poll(self) -> list[Any]:
         return []
 
-    def give_up(self) -> list[Any]:
-        given, self._pending = self._pending, []
-        return given
+    def cancel_pending(self) -> list[Any]:
+        pending, self._pending = self._pending, []
+        return pending
 
 
-class Uplink:
-    """Takes everything."""
+class RecordingUplink:
+    """Accepts every episode."""
 
     ready, silent_for_s = True, 0.0
 
     def __init__(self) -> None:
-        self.offered: list[Episode] = []
+        self.submitted: list[Episode] = []
         self.flushed = False
 
-    def offer(self, finished: Episode) -> None:
-        self.offered.append(finished)
+    def submit(self, finished: Episode) -> None:
+        self.submitted.append(finished)
 
     def poll(self) -> None: ...
 
@@ -52,45 +52,45 @@ class Uplink:
         self.flushed = True
 
 
-def worker(scorer: Scorer, uplink: Uplink, schedule: Any, metrics: Metrics) -> Worker:
+def make_worker(scorer: SilentScorer, uplink: RecordingUplink, schedule: Any, metrics: Metrics) -> Worker:
     browser: Any = None
-    stand_ins: Any = (scorer, uplink)
-    limits = WorkerLimits(step_limit=3, flush_s=0.05)
-    return Worker(browser, PolicyAgent(policy(), vectors()), schedule, *stand_ins, limits=limits, metrics=metrics)
+    fakes: Any = (scorer, uplink)
+    limits = WorkerLimits(step_limit=3, flush_timeout_s=0.05)
+    return Worker(browser, PolicyAgent(policy(), vectors()), schedule, *fakes, limits=limits, metrics=metrics)
 
 
-def nothing_to_play(trouble: Exception) -> Any:
+def failing_schedule(error: Exception) -> Any:
     def schedule(version: int) -> Any:
-        raise trouble
+        raise error
 
     return schedule
 
 
-def test_what_nobody_scored_is_handed_over_unscored_when_an_actor_ends() -> None:
-    finished, uplink, metrics = episode(1), Uplink(), Metrics()
-    made = worker(Scorer(finished), uplink, nothing_to_play(OSError("no browser")), metrics)
+def test_episodes_without_rewards_are_delivered_unscored_when_an_actor_ends() -> None:
+    finished, uplink, metrics = episode(1), RecordingUplink(), Metrics()
+    worker = make_worker(SilentScorer(finished), uplink, failing_schedule(OSError("no browser")), metrics)
     with pytest.raises(OSError, match="no browser"):
-        made.run()
-    assert uplink.offered == [finished]
+        worker.run()
+    assert uplink.submitted == [finished]
     assert uplink.flushed
-    assert metrics.registry.get_sample_value("giirl_scoring_given_up_total") == 1
+    assert metrics.registry.get_sample_value("giirl_episodes_unscored_total") == 1
 
 
-def test_an_actor_that_is_refused_hands_nothing_over() -> None:
-    uplink = Uplink()
+def test_a_refused_actor_delivers_nothing() -> None:
+    uplink = RecordingUplink()
     with pytest.raises(Refused):
-        worker(Scorer(episode(1)), uplink, nothing_to_play(Refused("fenced")), Metrics()).run()
-    assert uplink.offered == []
+        make_worker(SilentScorer(episode(1)), uplink, failing_schedule(Refused("fenced")), Metrics()).run()
+    assert uplink.submitted == []
 
 
-def test_weights_that_are_damaged_or_older_are_refused_and_counted() -> None:
+def test_corrupt_and_older_weights_are_rejected_and_counted() -> None:
     metrics = Metrics()
-    made = worker(Scorer(), Uplink(), None, metrics)
+    worker = make_worker(SilentScorer(), RecordingUplink(), None, metrics)
     for version in (3, 5):
-        made.load(sealed(version))
-    made.load(sealed(4))
-    made.load(Weights(version=6, digest="none", blob=sealed(6).blob))
-    made._obey()
+        worker.load(sealed(version))
+    worker.load(sealed(4))
+    worker.load(Weights(version=6, digest="none", blob=sealed(6).blob))
+    worker._run_calls()
     assert metrics.registry.get_sample_value("giirl_policy_version") == 5
     assert metrics.registry.get_sample_value("giirl_weights_refused_total", {"network": "policy"}) == 2
 

@@ -1,4 +1,4 @@
-"""Scripted experts: what they do with a page they were never meant for, and that they succeed on their own."""
+"""Scripted experts: unit tests on small pages, the committed success rates, and two real episodes per task."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from giirl_core.types import Action, EpisodeSpec, Goal, Observation, Page, Purpo
 
 RESULT = Path("benchmarks/results/experts.json")
 TABLE = Path("docs/experts.md")
-SHARES = 6  # of the tasks, so that none takes long on a busy machine
-SOMETIMES_LOST = {"tic-tac-toe", "email-inbox-nl-turk", "email-inbox-forward-nl-turk"}
+SHARDS = 6  # parts of the tasks, so that no test takes long on a busy machine
+NOT_ALWAYS_SOLVED = {"tic-tac-toe", "email-inbox-nl-turk", "email-inbox-forward-nl-turk"}
 
 
 def observe(task: str, goal: str, *rows: tuple[str, str, str, int]) -> Observation:
-    """A page with rows of (tag, text, classes, parent), whose fields hold their text."""
+    """An observation with rows of (tag, text, classes, parent). The text of a field is its value."""
     tag, text, classes, parent = zip(*rows, strict=True)
     count = len(rows)
     page = Page(
@@ -51,39 +51,39 @@ def test_every_expert_plays_a_task_that_exists() -> None:
 
 def test_two_experts_for_one_task_are_refused() -> None:
     with pytest.raises(AssertionError, match="two experts for click-test"):
-        expert_for("click-test")(lambda see: see.click(0))
+        expert_for("click-test")(lambda view: view.click(0))
 
 
-def test_an_expert_that_finds_nothing_to_do_is_stuck_and_the_chooser_waits() -> None:
-    seen = observe("click-button", 'Click on the "Ok" button.', ("button", "Cancel", "", -1))
-    with pytest.raises(NoAction, match="nothing with tag 'button', text 'Ok'"):
-        expert("click-button")(seen)
-    (choice,) = ExpertAgent(expert)([seen], np.zeros((1, 3), dtype=np.float32))
+def test_an_expert_without_an_action_raises_no_action_and_the_expert_agent_waits() -> None:
+    observation = observe("click-button", 'Click on the "Ok" button.', ("button", "Cancel", "", -1))
+    with pytest.raises(NoAction, match="no row with tag 'button', text 'Ok'"):
+        expert("click-button")(observation)
+    (choice,) = ExpertAgent(expert).select_actions([observation], np.zeros((1, 3), dtype=np.float32))
     assert choice.action == Action(verb=Verb.WAIT)
 
 
-def test_what_is_typed_is_a_span_of_the_instruction_where_it_has_one() -> None:
-    see = PageView(observe("enter-text", 'Enter "Ada" now.', ("input_text", "", "", -1)))
-    assert see.type(0, "Ada") == Action(verb=Verb.TYPE, element=0, start=2, end=2)
-    assert see.type(0, "ADA") == Action(verb=Verb.TYPE, element=0, literal="ADA")
+def test_typed_text_is_a_span_of_the_instruction_if_it_has_one() -> None:
+    view = PageView(observe("enter-text", 'Enter "Ada" now.', ("input_text", "", "", -1)))
+    assert view.type(0, "Ada") == Action(verb=Verb.TYPE, element=0, start=2, end=2)
+    assert view.type(0, "ADA") == Action(verb=Verb.TYPE, element=0, literal="ADA")
 
 
-def test_a_field_that_holds_what_it_should_is_left_alone() -> None:
-    see = PageView(observe("enter-text", "Enter a b.", ("input_text", "a", "", -1), ("input_text", "", "", -1)))
-    assert see.fill({0: "a", 1: "b"}) == Action(verb=Verb.TYPE, element=1, start=2, end=2)
-    assert see.fill({0: "a"}) is None
+def test_fill_skips_fields_that_have_the_right_value() -> None:
+    view = PageView(observe("enter-text", "Enter a b.", ("input_text", "a", "", -1), ("input_text", "", "", -1)))
+    assert view.fill({0: "a", 1: "b"}) == Action(verb=Verb.TYPE, element=1, start=2, end=2)
+    assert view.fill({0: "a"}) is None
 
 
-def test_rows_are_found_by_what_they_are_and_by_what_they_lie_in() -> None:
+def test_rows_are_found_by_tag_text_class_and_ancestor() -> None:
     rows = [("div", "", "one", -1), ("p", "a", "", 0), ("div", "", "two x", -1), ("p", "a", "", 2), ("t", "b", "", 3)]
-    see = PageView(observe("click-test", "Click.", *rows))
-    assert see.rows("p", "a") == [1, 3]
-    assert see.rows("p", "a", inside=2) == [3]
-    assert see.row(kind="x") == 2
-    assert (see.page.below(2), see.leaf(2), see.reading(2)) == ([3, 4], 4, "a b")
-    assert (see.above(4, kind="two"), see.above(4, "p")) == (2, 3)
-    with pytest.raises(ValueError, match="lies in no"):
-        see.above(4, kind="one")
+    view = PageView(observe("click-test", "Click.", *rows))
+    assert view.rows("p", "a") == [1, 3]
+    assert view.rows("p", "a", inside=2) == [3]
+    assert view.row(css_class="x") == 2
+    assert (view.page.descendants(2), view.first_leaf(2), view.all_text(2)) == ([3, 4], 4, "a b")
+    assert (view.ancestor(4, css_class="two"), view.ancestor(4, "p")) == (2, 3)
+    with pytest.raises(ValueError, match="no ancestor 'one'"):
+        view.ancestor(4, css_class="one")
 
 
 @pytest.mark.parametrize("number", range(10))
@@ -100,7 +100,7 @@ def test_a_number_is_guessed_in_four_guesses_from_the_last_answer_alone(number: 
     pytest.fail(f"{number} was not guessed")
 
 
-def test_a_winning_cell_is_taken_before_anything_else() -> None:
+def test_a_winning_move_is_preferred() -> None:
     marks = ("mark-x", "mark-x", "", "mark-o", "mark-o", "", "", "", "")
     cells = [("span", "", mark, 0 if i < 3 else 1 if i < 6 else 2) for i, mark in enumerate(marks)]
     rows = [("div", "", "ttt-row", -1)] * 3 + cells
@@ -108,14 +108,14 @@ def test_a_winning_cell_is_taken_before_anything_else() -> None:
     assert (action.verb, action.element) == (Verb.CLICK, 3 + 2)
 
 
-def test_the_committed_result_is_of_these_experts_and_the_table_says_the_same() -> None:
+def test_the_committed_success_rates_cover_these_experts_and_match_the_table() -> None:
     rows = json.loads(RESULT.read_text())["tasks"]
     assert set(rows) <= set(EXPERTS)
     assert {row["episodes"] for row in rows.values()} == {200}
     assert sum(row["success"] >= GOOD for row in rows.values()) >= 60
-    assert {task for task, row in rows.items() if row["success"] < GOOD} <= SOMETIMES_LOST
-    told = [line.split("|")[1:3] for line in TABLE.read_text().splitlines() if line.startswith("|")][2:]
-    assert {task.strip(): success.strip() for task, success in told} == {
+    assert {task for task, row in rows.items() if row["success"] < GOOD} <= NOT_ALWAYS_SOLVED
+    listed = [line.split("|")[1:3] for line in TABLE.read_text().splitlines() if line.startswith("|")][2:]
+    assert {task.strip(): success.strip() for task, success in listed} == {
         task: f"{100 * rows[task]['success']:.1f}" if task in rows else "-" for task in EXPERTS
     }
 
@@ -128,11 +128,11 @@ def farm() -> Iterator[ChromeFarm]:
 
 @pytest.mark.chrome
 @pytest.mark.slow
-@pytest.mark.parametrize("share", range(SHARES))
-def test_every_expert_succeeds_on_real_pages(farm: ChromeFarm, share: int) -> None:
-    mine = sorted(EXPERTS)[share::SHARES]
-    won: Counter[str] = Counter()
-    schedule = Schedule(mine, farm.tabs, purpose=Purpose.INSPECT, run_seed=2, quota=2)
+@pytest.mark.parametrize("shard", range(SHARDS))
+def test_every_expert_succeeds_on_real_pages(farm: ChromeFarm, shard: int) -> None:
+    shard_tasks = sorted(EXPERTS)[shard::SHARDS]
+    solved: Counter[str] = Counter()
+    schedule = Schedule(shard_tasks, farm.tabs, purpose=Purpose.INSPECT, run_seed=2, quota=2)
     for finished in play(farm, ExpertAgent(expert), schedule, step_limit=100, metrics=Metrics()):
-        won.update(episode.trajectory.task for episode in finished if episode.outcome.success)
-    assert {task for task in mine if won[task] < 2} <= SOMETIMES_LOST
+        solved.update(episode.trajectory.task for episode in finished if episode.outcome.success)
+    assert {task for task in shard_tasks if solved[task] < 2} <= NOT_ALWAYS_SOLVED

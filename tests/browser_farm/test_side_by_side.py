@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from miniwob.action import ActionSpaceConfig
 
-from benchmarks.gym_equality import ELEMENT_ACTIONS, Reference, Tally, compare_task, move
+from benchmarks.gym_equality import ELEMENT_ACTIONS, Comparison, PackageEnv, compare_task, switch_task
 from browser_farm.gym.env import MiniWoB
 
 pytestmark = [pytest.mark.chrome, pytest.mark.slow]
@@ -29,8 +29,8 @@ TASKS = [
 
 
 @pytest.fixture(scope="module")
-def reference() -> Iterator[Reference]:
-    made = Reference()
+def reference() -> Iterator[PackageEnv]:
+    made = PackageEnv()
     yield made
     made.env.close()
 
@@ -42,7 +42,7 @@ def ours() -> Iterator[MiniWoB]:
     made.close()
 
 
-def test_the_spaces_are_those_of_the_package(reference: Reference, ours: MiniWoB) -> None:
+def test_the_spaces_are_those_of_the_package(reference: PackageEnv, ours: MiniWoB) -> None:
     assert ours.observation_space == reference.env.observation_space
     for preset in ("all_supported", "shi17", "liu18", "humphreys22"):
         config = ActionSpaceConfig.get_preset(preset)
@@ -53,17 +53,19 @@ def test_the_spaces_are_those_of_the_package(reference: Reference, ours: MiniWoB
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_every_field_is_equal_after_every_action(reference: Reference, ours: MiniWoB, task: str) -> None:
-    tally = Tally()
-    compare_task(task, reference, move(ours, task), tally, kinds=ELEMENT_ACTIONS, seeds=range(70, 72), steps=3)
-    assert tally.differences == []
-    assert tally.observations >= 4
+def test_every_field_is_equal_after_every_action(reference: PackageEnv, ours: MiniWoB, task: str) -> None:
+    comparison = Comparison()
+    compare_task(
+        task, reference, switch_task(ours, task), comparison, kinds=ELEMENT_ACTIONS, seeds=range(70, 72), steps=3
+    )
+    assert comparison.differences == []
+    assert comparison.observations >= 4
 
 
 @pytest.mark.parametrize("task", ["click-button", "email-inbox", "count-shape"])
-def test_screenshots_are_equal_pixel_by_pixel(reference: Reference, ours: MiniWoB, task: str) -> None:
+def test_screenshots_are_equal_pixel_by_pixel(reference: PackageEnv, ours: MiniWoB, task: str) -> None:
     options = {"record_screenshots": True}
-    theirs, _ = reference.show(task).reset(seed=71, options=options)
-    shown, _ = move(ours, task).reset(seed=71, options=options)
+    theirs, _ = reference.switch_task(task).reset(seed=71, options=options)
+    shown, _ = switch_task(ours, task).reset(seed=71, options=options)
     ours.set_record_screenshots(False)
     assert np.array_equal(shown["screenshot"], theirs["screenshot"])

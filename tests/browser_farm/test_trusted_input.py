@@ -8,8 +8,8 @@ import pytest
 
 from browser_farm.chrome.trusted_input import events
 from giirl_core.types import Command, Observation, Verb
-from tests.browser_farm.human.test_gestures import SOLVED, Move, on, play, press, row, show
 from tests.browser_farm.real_farm import Farm
+from tests.browser_farm.test_actions import SOLVED, Move, on, play, press, row, show
 
 
 @pytest.fixture(scope="module")
@@ -30,11 +30,11 @@ def test_a_task_that_needs_more_than_clicks_is_solved_by_hand(farm: Farm, task: 
 @pytest.mark.chrome
 def test_a_page_takes_the_events_for_a_persons(farm: Farm) -> None:
     script = """for (const name of ['mousedown', 'click', 'keydown', 'input']) document.addEventListener(name,
-        (event) => said.push(name + event.isTrusted), true)"""
+        (event) => log.push(name + event.isTrusted), true)"""
     seen = play(farm, show(farm, "<input value='ab'>", script), on(Verb.TYPE, "input_text", literal="C"), press("End"))
     assert isinstance(seen, Observation)
     assert seen.page.value[row(seen, "input_text")] == "C"
-    assert set(farm.ask(0, "said.join()").split(",")) == {"mousedowntrue", "clicktrue", "keydowntrue", "inputtrue"}
+    assert set(farm.ask(0, "log.join()").split(",")) == {"mousedowntrue", "clicktrue", "keydowntrue", "inputtrue"}
 
 
 @pytest.mark.chrome

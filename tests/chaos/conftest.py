@@ -1,4 +1,4 @@
-"""How much chaos: all of it when this folder is what was asked for, a short form among all other tests."""
+"""How long the chaos tests run: fully if only this folder is tested, in a short form together with other tests."""
 
 from __future__ import annotations
 
@@ -11,6 +11,6 @@ HERE = Path(__file__).parent
 
 @pytest.fixture(scope="session")
 def full(pytestconfig: pytest.Config) -> bool:
-    """Whether `pytest tests/chaos` was typed, rather than all tests."""
-    asked = [Path(pytestconfig.invocation_params.dir, argument.split("::")[0]) for argument in pytestconfig.args]
-    return any(path.resolve() == HERE or HERE in path.resolve().parents for path in asked)
+    """Whether pytest was started for this folder (`pytest tests/chaos`) rather than for all tests."""
+    paths = [Path(pytestconfig.invocation_params.dir, argument.split("::")[0]) for argument in pytestconfig.args]
+    return any(path.resolve() == HERE or HERE in path.resolve().parents for path in paths)

@@ -1,6 +1,6 @@
-"""Many simulated actors in one process: they play nothing, but hand over episodes as real ones do.
+"""Many simulated actors in one process: they do not play, but deliver made-up episodes as real actors do.
 
-What is simulated is the playing. Uplinks, tallies, sockets and messages are the real ones, one of each an actor.
+Each has a real uplink, episode counter and socket.
 """
 
 from __future__ import annotations
@@ -22,44 +22,44 @@ from giirl_core.wire.transport import Keys
 
 INCARNATIONS = 1 << 12
 SEQUENCES = 1 << 24
-LOOP_S = 0.05  # between two rounds through all actors
-LOOK_S = 0.05  # between two looks at the version of the learner
-VERSION = "version"
-LIMITS = UplinkLimits(pause_at=4, max_kept_bytes=256 << 10, beat_s=0.2, hello_s=0.1)
+ROUND_S = 0.05  # pause between two rounds through all actors
+VERSION_POLL_S = 0.05  # between two reads of the learner's version
+VERSION_FILE = "version"
+LIMITS = UplinkLimits(max_unacked=4, max_kept_bytes=256 << 10, heartbeat_s=0.2, hello_s=0.1)
 
 
-def key(actor: int, incarnation: int, sequence: int) -> int:
-    """One episode among all: what its page's seed says."""
+def episode_id(actor: int, incarnation: int, sequence: int) -> int:
+    """A number for each episode of the test; it is used as the page seed."""
     return (actor * INCARNATIONS + incarnation) * SEQUENCES + sequence
 
 
-class Remembered(EpisodeCounter):
-    """Writes down for the test's own ledger what it forgets because it is settled."""
+class LoggedCounter(EpisodeCounter):
+    """Writes the counts that it forgets to a file, from which the test computes its ledger."""
 
     def __init__(self, path: Path, incarnation: int) -> None:
         self._log = path.with_suffix(".settled")
         super().__init__(path, incarnation)
 
-    def settle(self, incarnation: int) -> None:
-        gone = [entry for entry in self.before if entry[0] < incarnation]
-        if gone:
+    def forget_before(self, incarnation: int) -> None:
+        forgotten = [entry for entry in self.before if entry[0] < incarnation]
+        if forgotten:
             with self._log.open("ab") as file:
-                file.write(b"".join(ENTRY.pack(*entry) for entry in gone))
-        super().settle(incarnation)
+                file.write(b"".join(ENTRY.pack(*entry) for entry in forgotten))
+        super().forget_before(incarnation)
 
 
-def finished(folder: Path) -> dict[tuple[int, int], int]:
-    """(actor, incarnation) -> episodes it finished, by the actors' own files."""
-    found: dict[tuple[int, int], int] = {}
+def finished_counts(folder: Path) -> dict[tuple[int, int], int]:
+    """(actor, incarnation) -> episodes it finished, from the actors' own files."""
+    counts: dict[tuple[int, int], int] = {}
     for suffix in ("settled", "tally"):
         for path in sorted(folder.glob(f"actor-*.{suffix}")):
             actor = int(path.stem.rpartition("-")[2])
             for incarnation, count in read_counts(path):
-                found[actor, incarnation] = max(count, found.get((actor, incarnation), 0))
-    return found
+                counts[actor, incarnation] = max(count, counts.get((actor, incarnation), 0))
+    return counts
 
 
-def template(size: int) -> Episode:
+def make_episode(size: int) -> Episode:
     """An episode of about `size` bytes on the wire."""
     rows = max(1, size // 60)
     page = Page(
@@ -86,25 +86,25 @@ def template(size: int) -> Episode:
     return Episode(trajectory=trajectory, outcome=Outcome(raw_reward=1.0, ended=True))
 
 
-class Player:
+class SimulatedActor:
     """One simulated actor."""
 
     def __init__(self, folder: Path, address: str, actor: int, incarnation: int, keys: Keys | None) -> None:
         self.actor, self.incarnation, self.sequence = actor, incarnation, 0
         name = f"actor-{actor}"
-        self.tally = Remembered(folder / f"{name}.tally", incarnation)
-        self.line = Uplink(
-            address, run="chaos", actor=name, incarnation=incarnation, tally=self.tally, limits=LIMITS, keys=keys
+        self.counter = LoggedCounter(folder / f"{name}.tally", incarnation)
+        self.uplink = Uplink(
+            address, run="chaos", actor=name, incarnation=incarnation, counter=self.counter, limits=LIMITS, keys=keys
         )
 
-    def play(self, model: Episode, version: int) -> None:
-        seed = key(self.actor, self.incarnation, self.sequence)
-        trajectory = replace(model.trajectory, seed=seed, policy_version=version)
-        assert self.line.offer(replace(model, trajectory=trajectory)) == self.sequence
+    def finish_episode(self, template: Episode, version: int) -> None:
+        seed = episode_id(self.actor, self.incarnation, self.sequence)
+        trajectory = replace(template.trajectory, seed=seed, policy_version=version)
+        assert self.uplink.submit(replace(template, trajectory=trajectory)) == self.sequence
         self.sequence += 1
 
 
-def crowd(
+def run_actors(
     folder: Path,
     address: str,
     actors: Sequence[int],
@@ -113,47 +113,47 @@ def crowd(
     size: int = 600,
     keys: Keys | None = None,
 ) -> None:
-    """Play until SIGTERM, then hand over, wait for the checkpoint that covers it, and say good-bye."""
+    """Finish episodes until SIGTERM, then deliver the rest, wait for a checkpoint that covers them, and say goodbye."""
     stopped: list[int] = []
-    signal.signal(signal.SIGTERM, lambda number, frame: stopped.append(number))
-    model, rng = template(size), random.Random(actors[0])
-    players = []
-    for actor in actors:
+    signal.signal(signal.SIGTERM, lambda signum, frame: stopped.append(signum))
+    template, rng = make_episode(size), random.Random(actors[0])
+    running = []
+    for number in actors:
         with suppress(Replaced):
-            players.append(Player(folder, address, actor, incarnation, keys))
-    version, looked_s = 0, 0.0
-    while players and not stopped:
-        if time.monotonic() - looked_s > LOOK_S:
-            version, looked_s = read_version(folder), time.monotonic()
-        for player in list(players):
+            running.append(SimulatedActor(folder, address, number, incarnation, keys))
+    version, read_s = 0, 0.0
+    while running and not stopped:
+        if time.monotonic() - read_s > VERSION_POLL_S:
+            version, read_s = read_version(folder), time.monotonic()
+        for actor in list(running):
             try:
-                player.line.poll()
-                if player.line.ready and rng.random() < 0.5:
-                    player.play(model, version)
+                actor.uplink.poll()
+                if actor.uplink.ready and rng.random() < 0.5:
+                    actor.finish_episode(template, version)
             except Refused:
-                players.remove(player)
-        time.sleep(LOOP_S)
-    hand_over(players)
+                running.remove(actor)
+        time.sleep(ROUND_S)
+    deliver_all(running)
 
 
-def hand_over(players: list[Player], timeout_s: float = 60.0) -> None:
-    """All at once: one that waits for its checkpoint must not keep the others from sending."""
+def deliver_all(running: list[SimulatedActor], timeout_s: float = 60.0) -> None:
+    """Poll all actors in turn: one that waits for its checkpoint must not keep the others from sending."""
     deadline_s = time.monotonic() + timeout_s
-    while players and time.monotonic() < deadline_s:
-        for player in list(players):
+    while running and time.monotonic() < deadline_s:
+        for actor in list(running):
             try:
-                if player.line.settle(0.0):
-                    player.line.close()
-                    players.remove(player)
+                if actor.uplink.wait_committed(0.0):
+                    actor.uplink.close()
+                    running.remove(actor)
                 else:
-                    player.line.poll()
+                    actor.uplink.poll()
             except Refused:
-                players.remove(player)
+                running.remove(actor)
         time.sleep(0.002)
-    for player in players:  # what these have left is lost, and they say so
-        player.line.close()
+    for actor in running:  # their remaining episodes are lost; the goodbye reports them
+        actor.uplink.close()
 
 
 def read_version(folder: Path) -> int:
-    path = folder / VERSION
+    path = folder / VERSION_FILE
     return int(path.read_text()) if path.exists() else 0

@@ -1,4 +1,4 @@
-"""A learner that stops, and a thousand actors that offer all the same: what becomes of everybody's memory.
+"""A learner that stops while a thousand actors try to deliver: how much memory both sides need.
 
 python -m tests.chaos.flood FOLDER SETTINGS (JSON) writes FOLDER/flood.json.
 """
@@ -10,74 +10,75 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import psutil
 
-from tests.chaos.crowd import crowd, finished, read_version
-from tests.chaos.storm import free_ports, settle_accounts, start
-from tests.chaos.trainer import SLOW, train
+from tests.chaos.crowd import finished_counts, read_version, run_actors
+from tests.chaos.storm import compute_ledger, free_ports, start
+from tests.chaos.trainer import UPDATE_S_FILE, train
 
-UNTIL_S = 120.0
+TIMEOUT_S = 120.0
 
 
 def main() -> None:
     folder, settings = Path(sys.argv[1]), json.loads(sys.argv[2])
-    players = settings["actors"] // settings["crowds"]
+    actors_per_crowd = settings["actors"] // settings["crowds"]
     (port,) = free_ports(1)
     trainer = start("trainer", lambda: train(folder, port))
     crowds = [
         start(
-            f"crowd-{place}",
-            lambda place=place: crowd(  # type: ignore[misc]
+            f"crowd-{index}",
+            lambda index=index: run_actors(  # type: ignore[misc]
                 folder,
                 f"127.0.0.1:{port}",
-                range(place * players, (place + 1) * players),
+                range(index * actors_per_crowd, (index + 1) * actors_per_crowd),
                 0,
                 size=settings["size"],
             ),
         )
-        for place in range(settings["crowds"])
+        for index in range(settings["crowds"])
     ]
     try:
-        _until(lambda: len(_playing(folder)) == settings["actors"], "episodes of every actor")
-        _until(lambda: read_version(folder) > 100, "a hundred steps")
-        seen = {
-            "process": _stop_process(folder, trainer, crowds, settings["stop_s"]),
-            "updates": _stop_updates(folder, trainer, crowds, settings["stop_s"]),
+        _wait_until(lambda: len(_active(folder)) == settings["actors"], "episodes of every actor")
+        _wait_until(lambda: read_version(folder) > 100, "a hundred steps")
+        result = {
+            "process": _suspend_learner(folder, trainer, crowds, settings["stop_s"]),
+            "updates": _slow_update(folder, trainer, crowds, settings["stop_s"]),
         }
         for pid in [*crowds, trainer]:
             os.kill(pid, signal.SIGTERM)
             os.waitpid(pid, 0)
-        (folder / "flood.json").write_text(json.dumps({**seen, "ledger": settle_accounts(folder)}, indent=2) + "\n")
+        (folder / "flood.json").write_text(json.dumps({**result, "ledger": compute_ledger(folder)}, indent=2) + "\n")
     finally:
         for pid in [trainer, *crowds]:
             if psutil.pid_exists(pid) and psutil.Process(pid).ppid() == os.getpid():
                 os.kill(pid, signal.SIGKILL)
 
 
-def _stop_process(folder: Path, trainer: int, crowds: list[int], stop_s: float) -> dict[str, float]:
-    """The learner's whole process hears nobody."""
-    before = _playing(folder)
+def _suspend_learner(folder: Path, trainer: int, crowds: list[int], stop_s: float) -> dict[str, float]:
+    """Suspend the learner's process, so that it receives nothing."""
+    before = _active(folder)
     os.kill(trainer, signal.SIGSTOP)
-    found = _watch(trainer, crowds, stop_s)
+    memory = _measure_memory(trainer, crowds, stop_s)
     os.kill(trainer, signal.SIGCONT)
-    return {**found, "resumed": _resumed(folder, before)}
+    return {**memory, "resumed": _wait_resumed(folder, before)}
 
 
-def _stop_updates(folder: Path, trainer: int, crowds: list[int], stop_s: float) -> dict[str, float]:
-    """The learner hears everybody, and takes nothing: one update lasts that long."""
-    before = _playing(folder)
-    (folder / SLOW).write_text(str(stop_s + 2.0))
+def _slow_update(folder: Path, trainer: int, crowds: list[int], stop_s: float) -> dict[str, float]:
+    """Make one update last longer than `stop_s`: the learner receives messages, but takes no episodes."""
+    before = _active(folder)
+    (folder / UPDATE_S_FILE).write_text(str(stop_s + 2.0))
     step = read_version(folder)
-    _until(lambda: read_version(folder) > step, "the step that lasts")
-    (folder / SLOW).write_text("0")
-    found = _watch(trainer, crowds, stop_s)
-    return {**found, "resumed": _resumed(folder, before)}
+    _wait_until(lambda: read_version(folder) > step, "the slow update")
+    (folder / UPDATE_S_FILE).write_text("0")
+    memory = _measure_memory(trainer, crowds, stop_s)
+    return {**memory, "resumed": _wait_resumed(folder, before)}
 
 
-def _watch(trainer: int, crowds: list[int], stop_s: float) -> dict[str, float]:
-    """Resident memory once everybody has noticed, and how much it differs at the end; MiB."""
+def _measure_memory(trainer: int, crowds: list[int], stop_s: float) -> dict[str, float]:
+    """Resident memory in MiB, early (after a sixth of `stop_s`) and late (at its end)."""
     time.sleep(stop_s / 6)
     early = _memory([trainer]), _memory(crowds)
     time.sleep(5 * stop_s / 6)
@@ -90,27 +91,27 @@ def _memory(pids: list[int]) -> float:
     return round(resident / 2**20, 1)
 
 
-def _playing(folder: Path) -> dict[tuple[int, int], int]:
-    return {who: count for who, count in finished(folder).items() if count}
+def _active(folder: Path) -> dict[tuple[int, int], int]:
+    return {incarnation: count for incarnation, count in finished_counts(folder).items() if count}
 
 
-def _resumed(folder: Path, before: dict[tuple[int, int], int]) -> int:
-    """How many actors finished something since; waits until all have, at most so long."""
-    deadline_s = time.monotonic() + UNTIL_S
+def _wait_resumed(folder: Path, before: dict[tuple[int, int], int]) -> int:
+    """Wait until all actors have finished further episodes, at most TIMEOUT_S; returns how many have."""
+    deadline_s = time.monotonic() + TIMEOUT_S
     while time.monotonic() < deadline_s:
-        now = finished(folder)
-        on = sum(now[who] > count + 4 for who, count in before.items())  # more than was under way
-        if on == len(before):
+        now = finished_counts(folder)
+        resumed = sum(now[key] > count + 4 for key, count in before.items())  # at most 4 are unacknowledged
+        if resumed == len(before):
             break
         time.sleep(0.5)
-    return on
+    return resumed
 
 
-def _until(true: object, what: str) -> None:
-    deadline_s = time.monotonic() + UNTIL_S
-    while not true():  # type: ignore[operator]
+def _wait_until(condition: Callable[[], bool], what: str) -> None:
+    deadline_s = time.monotonic() + TIMEOUT_S
+    while not condition():
         if time.monotonic() > deadline_s:
-            raise AssertionError(f"no {what} within {UNTIL_S} s")
+            raise AssertionError(f"no {what} within {TIMEOUT_S} s")
         time.sleep(0.1)
 
 

@@ -1,9 +1,9 @@
-"""Runs that kill themselves with SIGKILL at a chosen moment, are resumed, and end in the same parameters or not.
+"""Runs that kill themselves with SIGKILL at a chosen point and are resumed: do they end with the same parameters?
 
 python -m tests.chaos.kill_points FOLDER serial|lock-step POINTS writes {"straight": HASH, "resumed": {POINT: HASH}} to
-FOLDER/result.json. Each run is a process of its own, forked from this one, which has loaded the libraries once. The
-browser is the fake one. In lock-step actors and reward service are threads of the run, so that one signal ends all of
-them, as it does where Ray runs on one machine; their sockets and messages are the real ones.
+FOLDER/result.json. Each run is a process forked from this one, which has loaded the libraries once. The browser is the
+fake one. In lock-step, actors and reward service are threads of the run, so that one signal ends all of them, as it
+does when Ray runs on one machine; their sockets and messages are real.
 """
 
 from __future__ import annotations
@@ -29,44 +29,44 @@ SETTINGS = {
     "lock-step": ("runtime=local", "stream.policy_lag=0", "stream.reward_lag=0", "actors.count=2", "stream.credits=2"),
 }
 FEW = ("iterations=6", "checkpoint_every=2", "keep_checkpoints=2", "evaluate.episodes=1", "evaluate.random_episodes=1")
-# What a run does again and again, and where each of its calls is a moment at which it may die.
-MOMENTS: dict[str, tuple[Any, str]] = {
-    "take": (giirl_run.Session, "take"),  # while it waits for rollouts
+# Functions that a run calls repeatedly; the run kills itself at the start of one of these calls.
+KILL_POINTS: dict[str, tuple[Any, str]] = {
+    "take": (giirl_run.Session, "take"),  # before it waits for rollouts
     "observe": (giirl_run.Session, "_observe"),  # between update and checkpoint
-    "publish": (giirl_run.Session, "_tell_targets"),  # with new weights at work
+    "publish": (giirl_run.Session, "_tell_targets"),  # after the processes got new weights
     "write": (Path, "write_text"),  # a file of a checkpoint, or a pointer
     "sync": (os, "fsync"),
-    "rename": (Path, "rename"),  # of a checkpoint into its place
-    "point": (Path, "replace"),  # of the pointer to the latest
+    "rename": (Path, "rename"),  # of a finished checkpoint
+    "point": (Path, "replace"),  # of the `latest` file
     "prune": (shutil, "rmtree"),
 }
 
 
 def points(count: int) -> list[str]:
-    """So many of all moments about the middle of a run, each named MOMENT-CALL."""
+    """`count` points from the last three quarters of a run, each as NAME-CALL."""
     calls = {"take": 6, "observe": 6, "publish": 6, "write": 18, "sync": 60, "rename": 4, "point": 12, "prune": 2}
-    spread = [f"{moment}-{number}" for moment, last in calls.items() for number in range(last // 4, last)]
-    return [spread[place * len(spread) // count] for place in range(count)]
+    candidates = [f"{name}-{number}" for name, last in calls.items() for number in range(last // 4, last)]
+    return [candidates[index * len(candidates) // count] for index in range(count)]
 
 
 def main() -> None:
     folder, mode, count = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
     if mode == "lock-step":
-        giirl_run.open_runtime = _threads  # type: ignore[assignment]
+        giirl_run.open_runtime = _open_runtime  # type: ignore[assignment]
     hashes: dict[str, str] = {}
     _fork(lambda: _train(mode, folder / "straight"))
     for point in points(count):
         path = folder / point
-        killed = _fork(lambda path=path, point=point: _die(mode, path, point))  # type: ignore[misc]
-        if killed == -signal.SIGKILL:
+        status = _fork(lambda path=path, point=point: _train_until_killed(mode, path, point))  # type: ignore[misc]
+        if status == -signal.SIGKILL:
             _fork(lambda path=path: _resume(mode, path))  # type: ignore[misc]
-        hashes[point] = _hash(path) if killed == -signal.SIGKILL else f"not killed: {killed}"
+        hashes[point] = _hash(path) if status == -signal.SIGKILL else f"not killed: {status}"
     result = {"straight": _hash(folder / "straight"), "resumed": hashes}
     (folder / "result.json").write_text(json.dumps(result))
 
 
 def _fork(child: Callable[[], None]) -> int:
-    """Run it in a process of its own; its exit status, or minus the signal that ended it."""
+    """Run `child` in a forked process; returns its exit status, or minus the signal that ended it."""
     _, status = os.waitpid(start("run", child), 0)
     return os.waitstatus_to_exitcode(status)
 
@@ -76,19 +76,19 @@ def _train(mode: str, path: Path) -> None:
     (path / "result.json").write_text(json.dumps(result))
 
 
-def _die(mode: str, path: Path, point: str) -> None:
-    moment, _, number = point.partition("-")
-    owner, name = MOMENTS[moment]
-    original, left = getattr(owner, name), int(number)
+def _train_until_killed(mode: str, path: Path, point: str) -> None:
+    name, _, number = point.partition("-")
+    owner, function = KILL_POINTS[name]
+    original, left = getattr(owner, function), int(number)
 
-    def fatal(*args: Any, **kwargs: Any) -> Any:
+    def killing(*args: Any, **kwargs: Any) -> Any:
         nonlocal left
         left -= 1
         if left < 0 and (path / "checkpoints" / "latest").exists():
             os.kill(os.getpid(), signal.SIGKILL)
         return original(*args, **kwargs)
 
-    setattr(owner, name, fatal)
+    setattr(owner, function, killing)
     _train(mode, path)
 
 
@@ -99,12 +99,12 @@ def _resume(mode: str, path: Path) -> None:
 
 def _hash(path: Path) -> str:
     result = path / "result.json"
-    found: str = json.loads(result.read_text())["parameters_sha256"] if result.exists() else "no result"
+    digest: str = json.loads(result.read_text())["parameters_sha256"] if result.exists() else "no result"
     shutil.rmtree(path)
-    return found
+    return digest
 
 
-def _threads(settings: Any, folder: Any, metrics: Any, stop: Any, resume: Any, save: Any) -> WorkersRuntime:
+def _open_runtime(settings: Any, folder: Any, metrics: Any, stop: Any, resume: Any, save: Any) -> WorkersRuntime:
     return WorkersRuntime(settings, folder, ThreadPlatform(), metrics, stop, resume, save)
 
 

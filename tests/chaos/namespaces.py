@@ -1,4 +1,4 @@
-"""Two network namespaces with a cable between them that can be cut. Needs root and iproute2."""
+"""Two network namespaces with a link between them that can be cut. Needs root and iproute2."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ HOSTS = {"learner": "10.117.0.1", "actors": "10.117.0.2"}
 
 
 def missing() -> str:
-    """Why there can be no namespaces here, "" when there can."""
+    """Why network namespaces are not available here; "" if they are."""
     if shutil.which("ip") is None:
-        return "there is no program ip: apt-get install iproute2"
+        return "the program ip is missing: apt-get install iproute2"
     name = f"giirl-try-{os.getpid()}"
-    tried = subprocess.run(["ip", "netns", "add", name], capture_output=True, text=True, check=False)
-    if tried.returncode:
-        return f"no network namespaces: {tried.stderr.strip()}"
+    result = subprocess.run(["ip", "netns", "add", name], capture_output=True, text=True, check=False)
+    if result.returncode:
+        return f"cannot create network namespaces: {result.stderr.strip()}"
     _ip("netns", "delete", name)
     return ""
 
 
-class Cable:
-    """Between the namespaces of this process's learner and actors."""
+class Link:
+    """A link between the namespaces of the learner and of the actors."""
 
     def __init__(self) -> None:
         self._names = {side: f"giirl-{side}-{os.getpid()}" for side in HOSTS}
 
     def enter(self, side: str) -> None:
-        """This process, and what it starts, is at that end from now on."""
+        """Move this process, and the processes that it will start, into the namespace of this side."""
         with Path(f"/run/netns/{self._names[side]}").open() as file:
             if ctypes.CDLL(None, use_errno=True).setns(file.fileno(), CLONE_NEWNET):
                 raise OSError(ctypes.get_errno(), "setns")
@@ -41,10 +41,10 @@ class Cable:
     def cut(self) -> None:
         _ip("-n", self._names["learner"], "link", "set", "cable", "down")
 
-    def mend(self) -> None:
+    def restore(self) -> None:
         _ip("-n", self._names["learner"], "link", "set", "cable", "up")
 
-    def lay(self) -> None:
+    def create(self) -> None:
         for name in self._names.values():
             _ip("netns", "add", name)
         ends = [(self._names[side], host) for side, host in HOSTS.items()]
@@ -59,14 +59,14 @@ class Cable:
 
 
 @contextmanager
-def cable() -> Iterator[Cable]:
-    made = Cable()
+def open_link() -> Iterator[Link]:
+    link = Link()
     try:
-        made.lay()
-        yield made
+        link.create()
+        yield link
     finally:
-        made.remove()
+        link.remove()
 
 
-def _ip(*words: str) -> None:
-    subprocess.run(["ip", *words], check=True, capture_output=True)
+def _ip(*arguments: str) -> None:
+    subprocess.run(["ip", *arguments], check=True, capture_output=True)

@@ -1,4 +1,4 @@
-"""Chaos runs in processes of its own: they fork, which a test process with its threads should not."""
+"""Runs the scripts of this folder as separate processes: they fork, which a test process with threads must not do."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from typing import Any
 ROOT = Path(__file__).parent.parent.parent
 
 
-def play(module: str, folder: Path, *words: str, timeout_s: float, result: str) -> dict[str, Any]:
-    """Run a script of this folder to its end and read what it wrote."""
+def run_script(module: str, folder: Path, *arguments: str, timeout_s: float, result: str) -> dict[str, Any]:
+    """Run a script of this folder to its end and return the JSON that it wrote to the file `result`."""
     log = folder / f"{module}.log"
     with log.open("wb") as file:
         process = subprocess.Popen(
-            [sys.executable, "-m", f"tests.chaos.{module}", str(folder), *words],
+            [sys.executable, "-m", f"tests.chaos.{module}", str(folder), *arguments],
             cwd=ROOT,
             stdin=subprocess.DEVNULL,
             stdout=file,
@@ -32,5 +32,5 @@ def play(module: str, folder: Path, *words: str, timeout_s: float, result: str) 
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait(10)
     assert status == 0, "\n".join(log.read_text(errors="replace").splitlines()[-20:])
-    found: dict[str, Any] = json.loads((folder / result).read_text())
-    return found
+    content: dict[str, Any] = json.loads((folder / result).read_text())
+    return content

@@ -1,4 +1,4 @@
-"""What supervision promises, on processes that Ray started: whoever hangs or dies is replaced, and the run goes on."""
+"""Supervision of real Ray processes: a process that hangs or dies is replaced, and the run goes on."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from actors.episode_counter import read_counts
-from giirl_core.processes.supervision import CRASHES
+from giirl_core.processes.supervision import MAX_CRASHES
 from learner.checkpoint import latest_checkpoint
 from learner.stream.snapshot import IngestSnapshot
 from tests.end_to_end.cluster import ray_cluster
@@ -32,71 +32,69 @@ WORDS = (
     "actors.heartbeat_timeout_s=4.0",
     "scoring.replicas=2",
 )
-START_S = 200.0  # a busy machine needs long for Ray and torch
-AWAKE = {"RAY_worker_niceness": "0"}  # nobody else's work may starve ours
+START_S = 200.0  # Ray and torch take long to start on a busy machine
+ENV = {"RAY_worker_niceness": "0"}  # other programs must not starve the workers
 
 
-def unaccounted(run: Path, tally: Path) -> int:
-    """Of all that an actor finished, by its own count: what was neither trained on, nor kept, nor counted as dropped.
-
-    Of incarnations that the books have settled it counts no more.
-    """
-    held = IngestSnapshot.load(latest_checkpoint(run / "checkpoints"))
-    (mark,) = held.marks
-    newest = dict(read_counts(tally))[mark.incarnation]
-    assert held.counts["taken"] == 8 * step(run)
-    return newest - mark.low_watermark - len(mark.acked)
+def unaccounted(run: Path, counter_file: Path) -> int:
+    """Episodes of an actor's newest incarnation that are neither trained on, queued, nor counted as dropped."""
+    snapshot = IngestSnapshot.load(latest_checkpoint(run / "checkpoints"))
+    (offsets,) = snapshot.offsets
+    finished = dict(read_counts(counter_file))[offsets.incarnation]
+    assert snapshot.counts["taken"] == 8 * step(run)
+    return finished - offsets.low_watermark - len(offsets.acked)
 
 
-def goes_on(command: Command, run: Path) -> None:
+def assert_goes_on(command: Command, run: Path) -> None:
     reached = step(run)
     command.until(lambda: step(run) > reached + 2, "further iterations", timeout_s=START_S)
 
 
-def test_a_run_whose_actor_dies_whenever_it_begins_gives_up_saves_and_says_so(full: bool) -> None:
+def test_a_run_whose_actor_dies_at_every_start_is_saved_and_ends_with_an_error(full: bool) -> None:
     if not full:
         pytest.skip("takes minutes: `pytest tests/chaos` runs it")
-    with run_folder() as run, Command(*WORDS, f"run={run}", env=AWAKE) as command:
+    with run_folder() as run, Command(*WORDS, f"run={run}", env=ENV) as command:
         command.until(lambda: step(run) > 2, "first iterations", timeout_s=START_S)
-        tally, begun = run / "actors" / "actor-0.tally", set[int]()
+        counter_file, started = run / "actors" / "actor-0.tally", set[int]()
 
-        def given_up() -> bool:
-            incarnation, _ = read_counts(tally)[-1]
-            if incarnation not in begun:
-                begun.add(incarnation)
+        def failed() -> bool:
+            incarnation, _ = read_counts(counter_file)[-1]
+            if incarnation not in started:
+                started.add(incarnation)
                 for actor in find(command, "ray::ActorProcess"):
                     actor.kill()
             return "0 of 1 actors are left" in command.err
 
-        command.until(given_up, "end of the run", timeout_s=START_S)
+        command.until(failed, "end of the run", timeout_s=START_S)
         assert command.wait() == 1
-        assert re.search(r"giirl: 0 of 1 actors are left, wanted 1 \(actors.minimum\): .+", command.err), command.err
-        assert len(begun) == CRASHES
-        assert command.remains() == []
+        error = r"giirl: 0 of 1 actors are left, wanted 1 \(actors\.min_healthy\): .+"
+        assert re.search(error, command.err), command.err
+        assert len(started) == MAX_CRASHES
+        assert command.wait_leftover() == []
         assert latest_checkpoint(run / "checkpoints").is_dir()
 
 
-def test_an_actor_that_hangs_and_a_reward_service_that_dies_are_replaced_while_the_run_goes_on(full: bool) -> None:
+def test_a_hung_actor_and_a_dead_reward_service_are_replaced_while_the_run_goes_on(full: bool) -> None:
     if not full:
         pytest.skip("takes minutes: `pytest tests/chaos` runs it")
-    with run_folder() as run, Command(*WORDS, f"run={run}", env=AWAKE) as command:
+    with run_folder() as run, Command(*WORDS, f"run={run}", env=ENV) as command:
         command.until(lambda: step(run) > 2, "first iterations", timeout_s=START_S)
         (hung,) = find(command, "ray::ActorProcess")
         hung.send_signal(signal.SIGSTOP)
-        command.until(lambda: hung not in find(command, "ray::ActorProcess"), "end of the one that hangs", timeout_s=90)
-        goes_on(command, run)
+        command.until(lambda: hung not in find(command, "ray::ActorProcess"), "end of the hung actor", timeout_s=90)
+        assert_goes_on(command, run)
         first, second = find(command, "ray::RewardProcess")
         first.kill()
-        goes_on(command, run)
-        command.until(lambda: len(find(command, "ray::RewardProcess")) == 2, "another replica", timeout_s=90)
+        assert_goes_on(command, run)
+        command.until(lambda: len(find(command, "ray::RewardProcess")) == 2, "a new replica", timeout_s=90)
         assert second in find(command, "ray::RewardProcess")
         command.stop(signal.SIGINT)
         assert command.wait(timeout_s=90) == 130, command.err
-        assert command.remains() == []
+        assert command.wait_leftover() == []
         assert unaccounted(run, run / "actors/actor-0.tally") == 0
 
 
-def test_a_learner_that_died_on_a_cluster_comes_back_to_actors_and_replicas_that_waited(full: bool) -> None:
+def test_a_learner_that_is_resumed_on_a_cluster_reattaches_its_actors_and_replicas(full: bool) -> None:
     if not full:
         pytest.skip("takes minutes: `pytest tests/chaos` runs it")
     with ray_cluster() as (head, _, reached), run_folder() as run:

@@ -1,7 +1,6 @@
-"""A platform of threads: what Ray starts as processes runs in this one, so that one SIGKILL ends all of it at once.
+"""A platform that runs actors and reward services as threads instead of Ray processes: one SIGKILL ends all of them.
 
-Sockets, messages and everything in `actors.process` and `reward_service.process` are the real ones; only the
-processes are simulated.
+Sockets, messages and the code of `actors.process` and `reward_service.process` are real.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from concurrent.futures import Future, TimeoutError
 from threading import Thread
 from typing import Any
 
-from giirl_core.processes.supervision import Gone
+from giirl_core.processes.supervision import ProcessDied
 
 
 class ThreadCall:
@@ -21,7 +20,7 @@ class ThreadCall:
     def _run(self, method: Any, values: tuple[Any, ...]) -> None:
         try:
             self._future.set_result(method(*values))
-        except Exception as error:  # noqa: BLE001 - whoever asks for the result gets it
+        except Exception as error:  # noqa: BLE001 - `result` raises it
             self._future.set_exception(error)
 
     def done(self) -> bool:
@@ -31,9 +30,9 @@ class ThreadCall:
         try:
             return self._future.result(timeout_s)
         except TimeoutError:
-            raise Gone(f"no answer within {timeout_s} s") from None
+            raise ProcessDied(f"no answer within {timeout_s} s") from None
         except Exception as error:
-            raise Gone(f"{type(error).__name__}: {error}") from error
+            raise ProcessDied(f"{type(error).__name__}: {error}") from error
 
 
 class ThreadProcess:
@@ -47,7 +46,7 @@ class ThreadProcess:
         return ThreadCall(getattr(self._object, method), values)
 
     def kill(self, *, restart: bool) -> None:
-        """A thread cannot be killed: it is left alone, and another takes its place."""
+        """A thread cannot be killed: it goes on, and another one takes its place."""
         if restart:
             self._object = self._kind(*self._values)
 

@@ -1,4 +1,4 @@
-"""A learner that learns nothing: takes batches, remembers what it took, saves real checkpoints, can be killed."""
+"""A simulated learner: it takes batches, records their episodes and saves real checkpoints, but trains nothing."""
 
 from __future__ import annotations
 
@@ -14,42 +14,43 @@ from learner.checkpoint import latest_checkpoint, save_checkpoint
 from learner.stream.admission import IngestLimits
 from learner.stream.ingest import Ingest
 from learner.stream.snapshot import IngestSnapshot
-from tests.chaos.crowd import VERSION
+from tests.chaos.crowd import VERSION_FILE
 
 BATCH = 32
-EVERY = 50  # steps between checkpoints
-TRAINED = "trained.npy"
-WRITING = "writing"  # there while a checkpoint is written
-SLOW = "slow"  # holds how long each update takes, seconds
+CHECKPOINT_EVERY = 50  # steps
+TRAINED_FILE = "trained.npy"  # in a checkpoint: the ids of all episodes taken so far
+WRITING_FILE = "writing"  # exists while a checkpoint is written
+UPDATE_S_FILE = "slow"  # holds the duration of each update, in seconds
 LIMITS = IngestLimits(credits=4, max_lag=8, max_bytes=32 << 20)
 
 
 def train(folder: Path, port: int, *, batch: int = BATCH, host: str = "127.0.0.1", keys: Keys | None = None) -> None:
-    """Go on from the last checkpoint until SIGTERM; save at the end."""
+    """Resume from the latest checkpoint and run until SIGTERM; save at the end."""
     stopped: list[int] = []
-    signal.signal(signal.SIGTERM, lambda number, frame: stopped.append(number))
+    signal.signal(signal.SIGTERM, lambda signum, frame: stopped.append(signum))
     checkpoints = folder / "checkpoints"
-    held, trained, version = IngestSnapshot(), np.empty(0, np.int64), 0
+    snapshot, trained, version = IngestSnapshot(), np.empty(0, np.int64), 0
     if (checkpoints / "latest").exists():
-        found = latest_checkpoint(checkpoints)
-        held, trained = IngestSnapshot.load(found), np.load(found / TRAINED)
-        version = int(found.name.split("-")[1])
-    seeds: list[int] = trained.tolist()
-    (folder / WRITING).unlink(missing_ok=True)
+        latest = latest_checkpoint(checkpoints)
+        snapshot, trained = IngestSnapshot.load(latest), np.load(latest / TRAINED_FILE)
+        version = int(latest.name.split("-")[1])
+    ids: list[int] = trained.tolist()
+    (folder / WRITING_FILE).unlink(missing_ok=True)
 
-    with closing(Ingest("chaos", lambda: version, host=host, port=port, limits=LIMITS, keys=keys, held=held)) as ingest:
+    ingest = Ingest("chaos", lambda: version, host=host, port=port, limits=LIMITS, keys=keys, snapshot=snapshot)
+    with closing(ingest):
 
         def save() -> None:
-            snapshot = ingest.snapshot()
+            current = ingest.snapshot()
 
             def write(partial: Path) -> None:
-                (folder / WRITING).touch()
-                snapshot.save(partial)
-                np.save(partial / TRAINED, np.array(seeds, np.int64))
+                (folder / WRITING_FILE).touch()
+                current.save(partial)
+                np.save(partial / TRAINED_FILE, np.array(ids, np.int64))
 
             save_checkpoint(checkpoints, version, write, keep=2)
-            (folder / WRITING).unlink()
-            ingest.committed(snapshot)
+            (folder / WRITING_FILE).unlink()
+            ingest.commit(current)
 
         while not stopped:
             if ingest.wants_commit:
@@ -58,21 +59,21 @@ def train(folder: Path, port: int, *, batch: int = BATCH, host: str = "127.0.0.1
                 episodes = ingest.take(batch, 0.1)
             except TimeoutError:
                 continue
-            seeds += [episode.trajectory.seed for episode in episodes]
+            ids += [episode.trajectory.seed for episode in episodes]
             version += 1
-            tell_version(folder, version)
-            time.sleep(pause_s(folder))
-            if version % EVERY == 0:
+            write_version(folder, version)
+            time.sleep(update_s(folder))
+            if version % CHECKPOINT_EVERY == 0:
                 save()
         save()
 
 
-def tell_version(folder: Path, version: int) -> None:
-    """Whole or not at all, but not for a power cut."""
-    (folder / f".{VERSION}").write_text(str(version))
-    (folder / f".{VERSION}").replace(folder / VERSION)
+def write_version(folder: Path, version: int) -> None:
+    """Atomic, but not synced to disk."""
+    (folder / f".{VERSION_FILE}").write_text(str(version))
+    (folder / f".{VERSION_FILE}").replace(folder / VERSION_FILE)
 
 
-def pause_s(folder: Path) -> float:
-    path = folder / SLOW
+def update_s(folder: Path) -> float:
+    path = folder / UPDATE_S_FILE
     return float(path.read_text() or 0) if path.exists() else 0.0

@@ -1,4 +1,4 @@
-"""One run that lives through everything, shared by the tests that look at it from their sides."""
+"""One run with several faults, shared by all tests that check how it survived them."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ from tests.end_to_end.survival import Survival, survive
 
 @pytest.fixture(scope="session")
 def survival() -> Iterator[Survival]:
-    """A `local` run with real Chrome whose browser, actor and reward service were killed, one after the other."""
+    """A `local` run with real Chrome whose browser, actor and reward service were killed one after the other."""
     with run_folder() as run:
         yield survive(run)

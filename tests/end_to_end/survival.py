@@ -1,4 +1,4 @@
-"""A run in which one process after the other is killed, and what could be seen of it meanwhile."""
+"""A run in which one process after the other is killed, and what was observed meanwhile."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from typing import Any
 import psutil
 
 from tests.end_to_end.commands import (
-    ANSWER_S,
-    GONE_S,
+    CLEANUP_S,
+    HTTP_TIMEOUT_S,
     LOOPBACK,
     Command,
     Sample,
@@ -32,7 +32,7 @@ from tests.end_to_end.commands import (
 )
 
 TASKS = ("click-test-2", "click-button")
-WORDS = (
+ARGUMENTS = (
     "train",
     "runtime=local",
     f"tasks={json.dumps(TASKS)}",
@@ -48,152 +48,159 @@ WORDS = (
 
 @dataclass(slots=True, kw_only=True)
 class Survival:
-    """What was seen while the run went on, and after it."""
+    """What was observed during the run and after it. Processes are named as in the metrics: "actor-0"."""
 
     run: Path
     status: int = -1
-    said: str = ""  # on standard output and standard error
-    left: list[str] = field(default_factory=list)
-    healthy: dict[str, Sample] = field(default_factory=dict)  # job -> its metrics before anything was killed
-    watched: dict[str, float] | None = None  # job -> `up`, by a real Prometheus; None where there is none
-    watched_steps: float = 0.0  # giirl_env_steps_total, by the same
+    output: str = ""  # standard output and standard error
+    leftover: list[str] = field(default_factory=list)  # processes that outlived the run
+    healthy: dict[str, Sample] = field(default_factory=dict)  # process -> its metrics before any fault
+    up: dict[str, float] | None = None  # process -> `up`, from a real Prometheus; None if it is not installed
+    prometheus_env_steps: float = 0.0  # giirl_env_steps_total, from the same Prometheus
     after_chrome: Sample = field(default_factory=dict)  # of the actor whose Chrome was killed
-    actors: list[int] = field(default_factory=list)  # pids of actor-0, in their order
+    actors: list[int] = field(default_factory=list)  # pids of actor-0, before and after it was killed
     incarnations: list[int] = field(default_factory=list)  # of actor-0, in checkpoints before and after it was killed
-    after_actor: Sample = field(default_factory=dict)  # of the second of them
-    services: list[int] = field(default_factory=list)
-    after_service: Sample = field(default_factory=dict)
-    learner: Sample = field(default_factory=dict)  # the last that was seen of it
+    after_actor: Sample = field(default_factory=dict)  # of the new actor-0
+    services: list[int] = field(default_factory=list)  # pids of reward-service-0, before and after it was killed
+    after_service: Sample = field(default_factory=dict)  # of the new reward-service-0
+    learner: Sample = field(default_factory=dict)  # its last metrics
 
 
 def survive(run: Path) -> Survival:
-    """Start the run, kill its parts, see it end."""
-    seen = Survival(run=run)
-    with Command(*WORDS, f"run={run}") as command:
-        _see_healthy(command, seen)
-        _kill_chrome(command, seen)
-        _kill_actor(command, seen)
-        _kill_service(command, seen)
-        seen.learner = try_scrape(run, "learner")
-        seen.status = command.wait(timeout_s=150)
-        seen.said = command.said
-        seen.left = command.remains()
-    seen.incarnations.append(_incarnation(run))
-    return seen
+    """Start the run, kill its processes one after the other, and wait for its end."""
+    survival = Survival(run=run)
+    with Command(*ARGUMENTS, f"run={run}") as command:
+        _observe_healthy(command, survival)
+        _kill_chrome(command, survival)
+        _kill_actor(command, survival)
+        _kill_service(command, survival)
+        survival.learner = try_scrape(run, "learner")
+        survival.status = command.wait(timeout_s=150)
+        survival.output = command.output
+        survival.leftover = command.wait_leftover()
+    survival.incarnations.append(_incarnation(run))
+    return survival
 
 
-def _see_healthy(command: Command, seen: Survival) -> None:
-    def all_at_work() -> bool:
-        jobs = ("learner", "actor-0", "reward-service-0")
-        seen.healthy = {job: try_scrape(seen.run, job) for job in jobs}
+def _observe_healthy(command: Command, survival: Survival) -> None:
+    def all_working() -> bool:
+        processes = ("learner", "actor-0", "reward-service-0")
+        survival.healthy = {process: try_scrape(survival.run, process) for process in processes}
         return (
-            all(seen.healthy.values())
-            and total(seen.healthy["learner"], "giirl_rewards_used_total", source="service") > 0
+            all(survival.healthy.values())
+            and total(survival.healthy["learner"], "giirl_trajectories_trained_total", reward_source="service") > 0
         )
 
-    command.until(lambda: step(seen.run) > 0, "first iteration")
-    command.until(all_at_work, "rewards of the service and metrics of every process")
-    with prometheus(seen.run.parent) as ask:
-        if ask:
-            seen.watched = {}
+    command.until(lambda: step(survival.run) > 0, "first iteration")
+    command.until(all_working, "rewards from the service and metrics of every process")
+    with prometheus(survival.run.parent) as query:
+        if query:
+            survival.up = {}
 
-            def watched() -> bool:
-                seen.watched = {row["metric"]["process"]: float(row["value"][1]) for row in ask("up")}
-                steps = ask("sum(giirl_env_steps_total{process='actor-0'})")
-                seen.watched_steps = float(steps[0]["value"][1]) if steps else 0.0
-                return sum(seen.watched.values()) == 3 and seen.watched_steps > 0
+            def scraped() -> bool:
+                survival.up = {row["metric"]["process"]: float(row["value"][1]) for row in query("up")}
+                steps = query("sum(giirl_env_steps_total{process='actor-0'})")
+                survival.prometheus_env_steps = float(steps[0]["value"][1]) if steps else 0.0
+                return sum(survival.up.values()) == 3 and survival.prometheus_env_steps > 0
 
-            command.until(watched, "Prometheus scraping the three of them", timeout_s=30)
+            command.until(scraped, "scrapes of all three processes by Prometheus", timeout_s=30)
 
 
-def _kill_chrome(command: Command, seen: Survival) -> None:
+def _kill_chrome(command: Command, survival: Survival) -> None:
     def recovered() -> bool:
-        seen.after_chrome = try_scrape(seen.run, "actor-0")
-        return total(seen.after_chrome, "giirl_env_steps_total") > before + 20
+        survival.after_chrome = try_scrape(survival.run, "actor-0")
+        return total(survival.after_chrome, "giirl_env_steps_total") > before + 20
 
-    before = total(try_scrape(seen.run, "actor-0"), "giirl_env_steps_total")
+    before = total(try_scrape(survival.run, "actor-0"), "giirl_env_steps_total")
     _chrome(_find(command, "ray::ActorProcess")).send_signal(signal.SIGKILL)
-    restarted = ("giirl_browser_restarts_total", "browser_died")
-    command.until(lambda: total(try_scrape(seen.run, "actor-0"), restarted[0], cause=restarted[1]) > 0, "new Chrome")
-    before = total(try_scrape(seen.run, "actor-0"), "giirl_env_steps_total")
+    command.until(
+        lambda: total(try_scrape(survival.run, "actor-0"), "giirl_browser_recoveries_total", cause="browser_died") > 0,
+        "new Chrome",
+    )
+    before = total(try_scrape(survival.run, "actor-0"), "giirl_env_steps_total")
     command.until(recovered, "steps in the new Chrome")
 
 
-def _kill_actor(command: Command, seen: Survival) -> None:
+def _kill_actor(command: Command, survival: Survival) -> None:
     def recovered() -> bool:
-        seen.after_actor = try_scrape(seen.run, "actor-0") if targets(seen.run).get("actor-0") != before else {}
-        return total(seen.after_actor, "giirl_episodes_total") > 0 and step(seen.run) > reached + 1
+        survival.after_actor = (
+            try_scrape(survival.run, "actor-0") if targets(survival.run).get("actor-0") != before else {}
+        )
+        return total(survival.after_actor, "giirl_episodes_total") > 0 and step(survival.run) > reached + 1
 
-    before, reached = targets(seen.run)["actor-0"], step(seen.run)
-    command.until(lambda: bool(_marks(seen.run)), "a checkpoint that knows the actor")
-    seen.incarnations = [_incarnation(seen.run)]
+    before, reached = targets(survival.run)["actor-0"], step(survival.run)
+    command.until(lambda: bool(_actor_offsets(survival.run)), "a checkpoint with the actor")
+    survival.incarnations = [_incarnation(survival.run)]
     process = _find(command, "ray::ActorProcess")
     process.kill()
     command.until(recovered, "episodes of a new actor")
-    seen.actors = [process.pid, _find(command, "ray::ActorProcess").pid]
+    survival.actors = [process.pid, _find(command, "ray::ActorProcess").pid]
 
 
-def _kill_service(command: Command, seen: Survival) -> None:
+def _kill_service(command: Command, survival: Survival) -> None:
     def recovered() -> bool:
-        known = targets(seen.run).get("reward-service-0")
-        seen.after_service = try_scrape(seen.run, "reward-service-0") if known != before else {}
-        return total(seen.after_service, "giirl_scoring_requests_total", result="ok") > 0
+        address = targets(survival.run).get("reward-service-0")
+        survival.after_service = try_scrape(survival.run, "reward-service-0") if address != before else {}
+        return total(survival.after_service, "giirl_scoring_requests_total", result="ok") > 0
 
-    before = targets(seen.run)["reward-service-0"]
+    before = targets(survival.run)["reward-service-0"]
     process = _find(command, "ray::RewardProcess")
     process.kill()
-    command.until(recovered, "answers of a new reward service")
-    seen.services = [process.pid, _find(command, "ray::RewardProcess").pid]
+    command.until(recovered, "replies of a new reward service")
+    survival.services = [process.pid, _find(command, "ray::RewardProcess").pid]
 
 
-def _marks(run: Path) -> list[dict[str, Any]]:
-    """What the newest checkpoint knows of the actors; the first one is of before they began."""
+def _actor_offsets(run: Path) -> list[dict[str, Any]]:
+    """The actor offsets in the newest checkpoint; the first checkpoint is saved before there are any."""
     checkpoints = run / "checkpoints"
-    marks: list[dict[str, Any]] = read_json(checkpoints / (checkpoints / "latest").read_text() / "actors.json")["marks"]
-    return marks
+    saved = read_json(checkpoints / (checkpoints / "latest").read_text() / "actors.json")
+    offsets: list[dict[str, Any]] = saved["marks"]
+    return offsets
 
 
 def _incarnation(run: Path) -> int:
-    """Of the one actor that the newest checkpoint knows."""
-    (mark,) = _marks(run)
-    assert mark["actor"] == "actor-0"
-    return int(mark["incarnation"])
+    """The incarnation of the only actor in the newest checkpoint."""
+    (offsets,) = _actor_offsets(run)
+    assert offsets["actor"] == "actor-0"
+    return int(offsets["incarnation"])
 
 
 def _find(command: Command, title: str) -> psutil.Process:
-    """The process that Ray gave a class's name; it adds that of the method under way."""
-    found = [p for p in command.look() if command_line(p)[:1] and command_line(p)[0].startswith(title)]
-    assert len(found) == 1, f"{len(found)} processes are {title}"
+    """The process of a Ray actor class; its title is the class name and the name of the running method."""
+    found = [p for p in command.find_descendants() if command_line(p)[:1] and command_line(p)[0].startswith(title)]
+    assert len(found) == 1, f"{len(found)} processes have the title {title}, wanted 1"
     return found[0]
 
 
 def _chrome(actor: psutil.Process) -> psutil.Process:
-    """The main process of an actor's Chrome: the one with a profile and no type."""
+    """The main process of an actor's Chrome: the one with a profile folder and without a type."""
     for process in actor.children(recursive=True):
-        words = command_line(process)
-        if any("--user-data-dir=" in word for word in words) and not any("--type=" in word for word in words):
+        arguments = " ".join(command_line(process))
+        if "--user-data-dir=" in arguments and "--type=" not in arguments:
             return process
     raise AssertionError(f"actor {actor.pid} has no Chrome")
 
 
-class Ask:
-    """Queries of one Prometheus."""
+class PrometheusQuery:
+    """Sends queries to a Prometheus server."""
 
     def __init__(self, port: int) -> None:
         self._url = f"http://127.0.0.1:{port}/api/v1/query?"
 
     def __call__(self, query: str) -> list[dict[str, Any]]:
         try:
-            with LOOPBACK.open(self._url + urllib.parse.urlencode({"query": query}), timeout=ANSWER_S) as answer:
-                rows: list[dict[str, Any]] = json.load(answer)["data"]["result"]
+            with LOOPBACK.open(
+                self._url + urllib.parse.urlencode({"query": query}), timeout=HTTP_TIMEOUT_S
+            ) as response:
+                rows: list[dict[str, Any]] = json.load(response)["data"]["result"]
                 return rows
         except (urllib.error.URLError, OSError):
             return []  # it is still starting
 
 
 @contextmanager
-def prometheus(folder: Path) -> Iterator[Ask | None]:
-    """A Prometheus that watches the run in `folder`; None on a machine without."""
+def prometheus(folder: Path) -> Iterator[PrometheusQuery | None]:
+    """A Prometheus server that scrapes the run in `folder`; None if Prometheus is not installed."""
     program = shutil.which("prometheus")
     if program is None:
         yield None
@@ -216,7 +223,7 @@ def prometheus(folder: Path) -> Iterator[Ask | None]:
         stderr=subprocess.DEVNULL,
     )
     try:
-        yield Ask(port)
+        yield PrometheusQuery(port)
     finally:
         process.kill()
-        process.wait(timeout=GONE_S)
+        process.wait(timeout=CLEANUP_S)

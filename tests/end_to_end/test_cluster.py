@@ -1,4 +1,4 @@
-"""A run as a job of a Ray cluster, submitted as deploy/README.md says."""
+"""A run as a job on a Ray cluster, submitted as described in deploy/README.md."""
 
 from __future__ import annotations
 
@@ -32,16 +32,18 @@ def folder() -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[dict[str, str]]:
-    with ray_cluster() as (_, jobs, _):
-        yield jobs
+    with ray_cluster() as (_, job_env, _):
+        yield job_env
 
 
-def test_a_submitted_job_trains_and_leaves_its_result_where_it_was_told(cluster: dict[str, str], folder: Path) -> None:
+def test_a_submitted_job_trains_and_writes_its_result_to_the_given_folder(
+    cluster: dict[str, str], folder: Path
+) -> None:
     config = folder / "tiny.toml"
     config.write_text(TINY)
     with Command(config, f"run={folder / 'run'}", program=[str(ROOT / "deploy/submit.sh")], env=cluster) as job:
         status = job.wait(timeout_s=150)
-        assert status == 0, job.said
+        assert status == 0, job.output
     assert step(folder / "run") == 4
     assert read_json(folder / "run/config.json")["runtime"] == "ray"
     assert read_json(folder / "run/result.json")["tasks"]["click-test-2"]["episodes"] == 4
@@ -53,18 +55,18 @@ def test_a_stopped_job_saves_its_run(cluster: dict[str, str], folder: Path) -> N
     config.write_text(TINY.replace("iterations = 4", "iterations = 100000"))
     with Command(config, f"run={run}", program=[str(ROOT / "deploy/submit.sh")], env=cluster) as job:
         job.until(lambda: step(run) > 0, "first iteration")
-        name = re.findall(r"raysubmit_\w+", job.said)[0]
+        name = re.findall(r"raysubmit_\w+", job.output)[0]
         with Command("job", "stop", name, program=[cluster["RAY"]], env=cluster) as stop:
-            assert stop.wait() == 0, stop.said
+            assert stop.wait() == 0, stop.output
         job.wait()
-        assert f"stopped and saved; to go on: giirl train --resume {run}" in job.said
+        assert f"stopped and saved; to go on: giirl train --resume {run}" in job.output
     assert (run / "checkpoints/latest").read_text().removesuffix("-again") == f"step-{step(run):08d}"
 
 
-def test_a_job_with_a_setting_that_does_not_exist_fails_and_says_so(cluster: dict[str, str], folder: Path) -> None:
-    words = ("job", "submit", "--", "giirl", "train", "iteration=4", f"run={folder / 'no'}", "runtime=ray")
-    with Command(*words, program=[cluster["RAY"]], env=cluster) as job:
+def test_a_job_with_an_unknown_setting_fails_with_an_error_message(cluster: dict[str, str], folder: Path) -> None:
+    arguments = ("job", "submit", "--", "giirl", "train", "iteration=4", f"run={folder / 'no'}", "runtime=ray")
+    with Command(*arguments, program=[cluster["RAY"]], env=cluster) as job:
         status = job.wait()
         assert status != 0
-        assert "there is no setting 'iteration'" in job.said
+        assert "there is no setting 'iteration'" in job.output
     assert not (folder / "no").exists()

@@ -1,4 +1,4 @@
-"""A run that is stopped in every way there is, goes on each time, and leaves no process behind."""
+"""A run that is interrupted, killed and resumed: it goes on each time and leaves no process behind."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from tests.end_to_end.commands import Command, read_json, run_folder, step
 
 pytestmark = [pytest.mark.chrome, pytest.mark.ray, pytest.mark.timeout(400)]
 
-RAY_NOTICES_S = 90.0  # its agents look for their node for a minute before they give up
-WORDS = (
+RAY_CLEANUP_S = 90.0  # Ray agents search for their node for a minute before they exit
+ARGUMENTS = (
     "train",
     "runtime=local",
     f"tasks={json.dumps(['click-test-2'])}",
@@ -31,19 +31,18 @@ WORDS = (
 
 @dataclass(slots=True, kw_only=True)
 class Stop:
-    """One way of stopping, and what came of it."""
+    """One part of the run and how it ended."""
 
     status: int = 0
     err: str = ""
-    left: list[str] = field(default_factory=list)
-    begun: int = 0  # the first step that this part of the run did
-    reached: int = 0  # iterations in the curve when it had ended
+    leftover: list[str] = field(default_factory=list)  # processes that outlived it
+    last_step: int = 0
     saved: str = ""  # the newest checkpoint
 
 
 @dataclass(slots=True, kw_only=True)
 class Stops:
-    """A run in three parts."""
+    """A run in three parts, each resumed from the one before."""
 
     run: Path
     interrupted: Stop = field(default_factory=Stop)
@@ -55,49 +54,45 @@ class Stops:
 def stops() -> Iterator[Stops]:
     resume = ("train", "--resume")
     with run_folder() as run:
-        seen = Stops(run=run)
-        _part(run, seen.interrupted, (*WORDS, f"run={run}"), signal.SIGINT)
-        with Command(*resume, run) as killed:  # what is left of it may go while the run is resumed already
-            _stop(run, seen.killed, killed, signal.SIGKILL)
-            _part(run, seen.finished, (*resume, str(run)), None)
-            seen.killed.left = killed.remains(timeout_s=RAY_NOTICES_S)
-        yield seen
+        result = Stops(run=run)
+        _run_part(run, result.interrupted, (*ARGUMENTS, f"run={run}"), signal.SIGINT)
+        with Command(*resume, run) as killed:  # its processes may still exit while the run is resumed
+            _stop(run, result.killed, killed, signal.SIGKILL)
+            _run_part(run, result.finished, (*resume, str(run)), None)
+            result.killed.leftover = killed.wait_leftover(timeout_s=RAY_CLEANUP_S)
+        yield result
 
 
-def _part(run: Path, seen: Stop, words: tuple[str, ...], number: signal.Signals | None) -> None:
-    with Command(*words) as command:
-        _stop(run, seen, command, number)
-        seen.left = command.remains()
+def _run_part(run: Path, stop: Stop, arguments: tuple[str, ...], number: signal.Signals | None) -> None:
+    with Command(*arguments) as command:
+        _stop(run, stop, command, number)
+        stop.leftover = command.wait_leftover()
 
 
-def _stop(run: Path, seen: Stop, command: Command, number: signal.Signals | None) -> None:
-    """Let it learn a little, then stop it; without a signal it ends by itself."""
+def _stop(run: Path, stop: Stop, command: Command, number: signal.Signals | None) -> None:
+    """Let the run train a few steps, then send the signal; without one, wait for its end."""
     before = step(run)
-
-    def learns() -> bool:
-        seen.begun = seen.begun or (step(run) if step(run) != before else 0)
-        return step(run) > max(before, 4)  # past the first checkpoint, also where the curve was cut
-
-    command.until(learns, "progress")
+    # Wait until it is past the first checkpoint, also if resuming has shortened the curve.
+    command.until(lambda: step(run) > max(before, 4), "progress")
     if number is not None:
         command.stop(number)
-    seen.status = command.wait()
-    seen.err, seen.reached = command.err, step(run)
-    seen.saved = (run / "checkpoints" / "latest").read_text()
+    stop.status = command.wait()
+    stop.err, stop.last_step = command.err, step(run)
+    stop.saved = (run / "checkpoints" / "latest").read_text()
 
 
-def test_ctrl_c_saves_a_run_and_says_how_to_go_on(stops: Stops) -> None:
+def test_ctrl_c_saves_the_run_and_prints_how_to_resume_it(stops: Stops) -> None:
     stop = stops.interrupted
     assert stop.status == 130, stop.err
-    assert stop.saved.removesuffix("-again") == f"step-{stop.reached:08d}"
+    assert stop.saved.removesuffix("-again") == f"step-{stop.last_step:08d}"
     assert stop.err.splitlines()[-1] == f"stopped and saved; to go on: giirl train --resume {stops.run}"
     assert "Traceback" not in stop.err
 
 
 @pytest.mark.parametrize("way", ["interrupted", "killed", "finished"])
-def test_no_process_outlives_a_run_however_it_ended(stops: Stops, way: str) -> None:
+def test_no_process_outlives_a_run(stops: Stops, way: str) -> None:
     stop: Stop = getattr(stops, way)
-    assert stop.left == []
+    assert stop.leftover == []
 
 
 def test_a_resumed_run_goes_on_from_where_it_stopped(stops: Stops) -> None:
@@ -106,7 +101,7 @@ def test_a_resumed_run_goes_on_from_where_it_stopped(stops: Stops) -> None:
     assert steps == list(range(1, 41))
 
 
-def test_a_killed_run_goes_on_from_its_last_checkpoint_to_the_end(stops: Stops) -> None:
+def test_a_killed_run_can_be_resumed_from_its_last_checkpoint(stops: Stops) -> None:
     assert stops.killed.status == -signal.SIGKILL
     assert f"resuming {stops.run} from {stops.killed.saved}" in stops.finished.err
     assert stops.finished.status == 0, stops.finished.err
@@ -114,12 +109,12 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint_to_the_end(stops: Stops) 
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "SIGTERM"])
-def test_stopping_while_demonstrations_are_made_leaves_nothing(number: signal.Signals, tmp_path: Path) -> None:
-    words = ("train", "runtime=serial", f"run={tmp_path / 'run'}", "demos.per_task=100000")
-    with Command(*words) as command:
+def test_stopping_while_demonstrations_are_made_leaves_no_process(number: signal.Signals, tmp_path: Path) -> None:
+    arguments = ("train", "runtime=serial", f"run={tmp_path / 'run'}", "demos.per_task=100000")
+    with Command(*arguments) as command:
         command.until(lambda: "making demonstrations" in command.err, "demonstrations")
-        command.until(lambda: len(command.look()) > 5, "Chrome")
+        command.until(lambda: len(command.find_descendants()) > 5, "Chrome")
         command.stop(number)
         assert command.wait() == 130
-        assert command.remains() == []
+        assert command.wait_leftover() == []
         assert command.err.splitlines()[-1] == "giirl: interrupted"

@@ -92,7 +92,7 @@ def test_train_writes_its_result_where_it_says(giirl: Command, tmp_path: Path) -
         (["browser=chrome", 'tasks=["click-buton"]'], "did you mean 'click-button'"),
         (["browser=fake", 'tasks=["click-buton"]'], "it has click-test, click-test-2, click-button"),
         (["demos.source=file"], "demos.path"),
-        (["demos.source=file", "demos.path=broken.toml"], "broken.toml is no episode file"),
+        (["demos.source=file", "demos.path=broken.toml"], "broken.toml is not an episode file"),
         (["demos.source=file", "demos.path=missing.giirl"], "missing.giirl"),
         (["demos.source=recordings", "demos.path=missing"], "missing"),
         (["step_limit=1", 'tasks=["enter-text"]'], "no successful demonstration of 'enter-text'"),
@@ -124,7 +124,7 @@ def test_a_mended_command_works_in_the_same_folder(giirl: Command) -> None:
 def test_a_run_that_another_process_works_on_is_not_gone_on_with(giirl: Command, tmp_path: Path) -> None:
     assert giirl("train", *SETTINGS, "iterations=1", "run=out").status == 0
     with folder_lock(tmp_path / "out"):
-        assert "another process works in out" in giirl("train", "--resume", "out", "iterations=2").complaint
+        assert "another process uses out" in giirl("train", "--resume", "out", "iterations=2").complaint
     assert giirl("train", "--resume", "out", "iterations=2").status == 0
 
 
@@ -157,7 +157,7 @@ def test_a_truncated_checkpoint_is_named_with_the_one_to_use_instead(
     net = path / "checkpoints/step-00000004/policy.safetensors"
     net.write_bytes(net.read_bytes()[:1000])
     answer = giirl(*words, path, "--json", "a.json")
-    assert "policy.safetensors, now 1000 bytes, is not what was saved" in answer.complaint
+    assert "the SHA-256 of policy.safetensors (1000 bytes) is not the" in answer.complaint
     assert "write step-00000002 into" in answer.complaint
     assert not (tmp_path / "a.json").exists()
     assert json.loads((path / "config.json").read_text())
@@ -238,7 +238,7 @@ def test_demonstrations_made_by_the_command_can_be_counted_and_learned_from(giir
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["stats", "notes.txt"], "notes.txt is no episode file"),
+        (["stats", "notes.txt"], "notes.txt is not an episode file"),
         (["stats", "missing"], "missing"),
         (["make", "--browser", "fake", "--out", "missing/a"], "cannot write missing/a"),
         (["make", "--browser", "fake", "--out", "a", "--task", "click-buton"], "did you mean 'click-button'"),

@@ -205,5 +205,5 @@ def test_training_demonstrations_and_evaluation_never_share_a_page(
 def test_a_checkpoint_of_other_nets_is_refused_in_words(straight: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     path, _ = straight
     shutil.copy(path / "demonstrations.giirl", tmp_path)
-    with pytest.raises(ValueError, match=r"has shape .* this net wants"):
+    with pytest.raises(ValueError, match=r"has shape .* wanted"):
         run(tmp_path, "net.width=8", resume=latest_checkpoint(path / "checkpoints"))

@@ -91,7 +91,7 @@ def test_a_run_that_learned_no_reward_has_none_to_follow(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("changes", [["algorithm=frozen"], ["reward_from=runs/x"]])
 def test_a_frozen_reward_and_where_it_is_from_go_together(changes: list[str]) -> None:
-    with pytest.raises(ValueError, match="'frozen' goes with reward_from=RUN"):
+    with pytest.raises(ValueError, match="wanted reward_from=RUN with algorithm=frozen"):
         load_config(None, changes)
 
 

@@ -73,10 +73,10 @@ def test_actors_are_added_and_removed_while_a_run_goes_on(
     assert [actor.name for actor in runtimes[0]._actors] == ["actor-0", "actor-1"]  # the third was told to leave
     assert [actor.restarts for actor in runtimes[0]._actors] == [0, 0]  # nor was the second refused when it came back
     held = runtimes[0]._ingest.snapshot()
-    assert {mark.actor for mark in held.marks} == {"actor-0", "actor-1", "actor-2"}
-    tallies = {mark.actor: read_counts(tmp_path / "run/actors" / f"{mark.actor}.tally")[-1] for mark in held.marks}
+    assert {mark.actor for mark in held.offsets} == {"actor-0", "actor-1", "actor-2"}
+    tallies = {mark.actor: read_counts(tmp_path / "run/actors" / f"{mark.actor}.tally")[-1] for mark in held.offsets}
     assert {
-        mark.actor: (mark.incarnation, mark.low_watermark) for mark in held.marks
+        mark.actor: (mark.incarnation, mark.low_watermark) for mark in held.offsets
     } == tallies  # nothing is unaccounted
 
 
@@ -87,7 +87,7 @@ def test_a_reward_service_that_nobody_began_is_begun_and_one_that_serves_is_join
     service.rejoin(first)  # returns: whoever asked has to begin it
     threads = [Thread(target=service.run, args=(first,)), Thread(target=service.rejoin, args=(second,))]
     threads[0].start()
-    while not service._serves:
+    while not service._serving:
         time.sleep(0.01)
     threads[1].start()
     threads[1].join(0.5)

@@ -1,4 +1,4 @@
-"""Settings: read from files and the command line, refused in one line that names the nearest."""
+"""Settings are read from files and the command line; a mistake is one line that names the nearest setting."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from giirl_core.config import Config
 from giirl_core.config_file import dump_config, keys, load_config
 
 
-def test_without_file_or_changes_the_defaults_hold() -> None:
+def test_without_file_and_overrides_all_settings_have_their_defaults() -> None:
     assert load_config(None) == Config()
 
 
-def test_a_file_is_changed_by_what_the_command_line_says(tmp_path: Path) -> None:
+def test_the_command_line_overrides_the_file(tmp_path: Path) -> None:
     path = tmp_path / "small.toml"
     path.write_text('tasks = ["click-test"]\nseed = 3\n[policy]\ngamma = 0.5\n')
     config = load_config(path, ["seed=4", "policy.entropy=0.2", "run=out/a"])
@@ -26,7 +26,7 @@ def test_a_file_is_changed_by_what_the_command_line_says(tmp_path: Path) -> None
 
 @settings(max_examples=30)
 @given(st.integers(0, (1 << 16) - 1), st.floats(1e-6, 1e6))
-def test_what_was_dumped_is_read_back_the_same(
+def test_a_dumped_config_loads_as_the_same_config(
     tmp_path_factory: pytest.TempPathFactory, seed: int, rate: float
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "dumped.json"
@@ -36,7 +36,7 @@ def test_what_was_dumped_is_read_back_the_same(
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("override", "message"),
     [
         ("polcy.gamma=0.5", "no setting 'polcy'; the nearest is 'policy'"),
         ("policy.gama=0.5", "no setting 'policy.gama'; the nearest is 'policy.gamma'"),
@@ -57,14 +57,14 @@ def test_what_was_dumped_is_read_back_the_same(
         ("=1", "'=1' is no override"),
     ],
 )
-def test_a_setting_that_cannot_be_is_one_line(change: str, said: str) -> None:
-    with pytest.raises(ValueError, match=said) as caught:
-        load_config(None, [change])
+def test_an_illegal_override_is_a_one_line_error(override: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        load_config(None, [override])
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "said"),
+    ("name", "content", "message"),
     [
         ("a.toml", b"seed = ", "a.toml is not valid TOML"),
         ("a.json", b"{", "a.json is not valid JSON"),
@@ -74,21 +74,23 @@ def test_a_setting_that_cannot_be_is_one_line(change: str, said: str) -> None:
         ("missing.toml", None, "cannot read the config .*missing.toml"),
     ],
 )
-def test_a_file_that_is_no_config_is_named(name: str, content: bytes | None, said: str, tmp_path: Path) -> None:
+def test_an_unreadable_config_file_is_named_in_the_error(
+    name: str, content: bytes | None, message: str, tmp_path: Path
+) -> None:
     if content is not None:
         (tmp_path / name).write_bytes(content)
-    with pytest.raises(ValueError, match=said) as caught:
+    with pytest.raises(ValueError, match=message) as caught:
         load_config(tmp_path / name)
     assert "\n" not in str(caught.value)
 
 
-def test_a_section_below_a_value_in_a_file_is_refused(tmp_path: Path) -> None:
+def test_an_override_below_a_value_is_an_error(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_text("policy = 3\n")
     with pytest.raises(ValueError, match="'policy' is a value, not a section"):
         load_config(path, ["policy.gamma=0.5"])
 
 
-def test_every_setting_has_a_dotted_name() -> None:
+def test_every_setting_has_one_dotted_name() -> None:
     assert {"seed", "policy", "policy.gamma", "discriminator.wrong_goal", "metrics.port"} <= set(keys())
     assert len(keys()) == len(set(keys()))

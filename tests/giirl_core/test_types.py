@@ -1,4 +1,4 @@
-"""Values that are not legal cannot be built, and goals give back their own words."""
+"""Goals, actions, pages, trajectories, seeds and weights: what they compute, and which values they refuse."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from giirl_core.keys import chord
+from giirl_core.keys import parse_chord
 from giirl_core.types import Action, Command, EpisodeSpec, Goal, Observation, Outcome, Purpose, Verb, Weights, page_seed
 from tests.learner.samples import FLAT, LONG, page, trajectory
 
@@ -17,14 +17,14 @@ CLICK = Action(verb=Verb.CLICK, element=0)
 
 
 @given(st.text().filter(lambda text: bool(text.split())))
-def test_every_span_of_a_goal_is_cut_from_its_own_characters(utterance: str) -> None:
+def test_every_span_of_a_goal_has_the_characters_of_the_utterance(utterance: str) -> None:
     goal = Goal(utterance)
     assert [goal.span(i, i) for i in range(len(goal.tokens))] == list(goal.tokens)
     assert goal.span(0, len(goal.tokens) - 1) == utterance.strip()
 
 
 @given(st.text(alphabet='ab" .', min_size=1).filter(lambda text: bool(text.split())), st.data())
-def test_what_is_found_in_a_goal_reads_exactly_so(utterance: str, data: st.DataObject) -> None:
+def test_the_span_that_find_returns_equals_the_text(utterance: str, data: st.DataObject) -> None:
     goal = Goal(utterance)
     start = data.draw(st.integers(0, len(goal.tokens) - 1))
     end = data.draw(st.integers(start, len(goal.tokens) - 1))
@@ -32,13 +32,13 @@ def test_what_is_found_in_a_goal_reads_exactly_so(utterance: str, data: st.DataO
     assert goal.span(*goal.find(text)) == text
 
 
-def test_quoted_words_are_found_before_the_same_words_elsewhere() -> None:
+def test_find_prefers_quoted_words() -> None:
     goal = Goal('Press press the button "press" and press on.')
     assert goal.find("press") == (5, 5)
     assert goal.find("Press") == (0, 0)
 
 
-def test_find_wants_case_and_spacing_as_in_the_goal() -> None:
+def test_find_compares_case_and_spacing() -> None:
     goal = Goal('Enter "Ada  Lovelace".')
     assert goal.find("Ada  Lovelace") == (2, 3)
     assert goal.find("Ada Lovelace") == (-1, -1)
@@ -47,18 +47,18 @@ def test_find_wants_case_and_spacing_as_in_the_goal() -> None:
 
 
 def test_a_goal_without_a_word_is_refused() -> None:
-    with pytest.raises(ValueError, match="at least one word, got '  '"):
+    with pytest.raises(ValueError, match=r"Goal\.utterance is '  ', wanted at least one word"):
         Goal("  ")
 
 
-def test_an_action_types_the_words_it_points_at_and_a_click_types_nothing() -> None:
+def test_the_text_of_an_action_is_its_span_of_the_goal() -> None:
     goal = Goal("Type one two.")
     assert Action(verb=Verb.TYPE, element=0, start=1, end=2).text(goal) == "one two"
     assert Action(verb=Verb.TYPE, element=0).text(goal) == ""
     assert Action(verb=Verb.CLICK, element=0).text(goal) == ""
 
 
-def test_leaves_are_the_rows_that_are_nobodys_parent_and_fields_take_text() -> None:
+def test_leaves_have_no_children_and_text_fields_are_typable() -> None:
     assert LONG.leaf.tolist() == [False, True, True, True, True]
     assert LONG.typable.tolist() == [False, False, False, True, True]
 
@@ -79,41 +79,41 @@ def test_a_page_whose_columns_disagree_is_refused(change: dict[str, object]) -> 
 
 
 @pytest.mark.parametrize(
-    ("change", "why"),
+    ("change", "message"),
     [
         ({"pages": ()}, "at least one step"),
         ({"actions": (CLICK, CLICK)}, "actions has 2 steps"),
         ({"rewards": np.zeros(3, dtype=np.float32)}, "rewards has 3 steps"),
         ({"behaviour_logp": np.zeros(0, dtype=np.float32)}, "behaviour_logp has 0 steps"),
-        ({"actions": (replace(CLICK, element=3),)}, "element 3 of a page with 3"),
-        ({"actions": (Action(verb=Verb.DRAG, element=0, to=3),)}, "element 3 of a page with 3"),
-        ({"actions": (Action(verb=Verb.TYPE, element=0, start=0, end=3),)}, "goal with 3"),
+        ({"actions": (replace(CLICK, element=3),)}, "element 3, its page has 3"),
+        ({"actions": (Action(verb=Verb.DRAG, element=0, to=3),)}, "element 3, its page has 3"),
+        ({"actions": (Action(verb=Verb.TYPE, element=0, start=0, end=3),)}, "the goal has 3"),
     ],
 )
-def test_a_trajectory_that_could_not_have_happened_is_refused(change: dict[str, object], why: str) -> None:
+def test_an_inconsistent_trajectory_is_refused(change: dict[str, object], message: str) -> None:
     good = trajectory("Click Ok.", [FLAT], [CLICK])
-    with pytest.raises(ValueError, match=why):
+    with pytest.raises(ValueError, match=message):
         replace(good, **change)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
-    ("fields", "why"),
+    ("fields", "message"),
     [
         ({"verb": Verb.CLICK, "literal": "x"}, "CLICK takes no 'literal', got 'x'"),
         ({"verb": Verb.HOVER, "by": (1.0, 0.0)}, "HOVER takes no 'by'"),
         ({"verb": Verb.SCROLL, "to": 1}, "SCROLL takes no 'to'"),
         ({"verb": Verb.WAIT, "at": (1.0, 1.0)}, "WAIT takes no 'at'"),
-        ({"verb": Verb.CLICK, "element": -2}, "row -2"),
-        ({"verb": Verb.TYPE, "start": 2, "end": 1}, r"words 2\.\.1"),
-        ({"verb": Verb.TYPE, "start": 0, "end": 0, "literal": "x"}, "types both 'x' and words 0..0"),
+        ({"verb": Verb.CLICK, "element": -2}, "Action.element is -2"),
+        ({"verb": Verb.TYPE, "start": 2, "end": 1}, r"start\.\.end is 2\.\.1"),
+        ({"verb": Verb.TYPE, "start": 0, "end": 0, "literal": "x"}, "literal 'x' and tokens 0..0"),
         ({"verb": Verb.CLICK, "at": (float("nan"), 0.0)}, "finite"),
-        ({"verb": Verb.PRESS}, "'' is no key"),
-        ({"verb": Verb.PRESS, "literal": "Ctrl+c"}, r"'Ctrl\+c' is no key: .* as in Control\+c"),
-        ({"verb": Verb.PRESS, "literal": "Control+"}, "is no key"),
+        ({"verb": Verb.PRESS}, "'' is not a key"),
+        ({"verb": Verb.PRESS, "literal": "Ctrl+c"}, r"'Ctrl\+c' is not a key: .* as in Control\+c"),
+        ({"verb": Verb.PRESS, "literal": "Control+"}, "is not a key"),
     ],
 )
-def test_an_action_that_says_what_its_verb_does_not_use_is_refused(fields: dict[str, object], why: str) -> None:
-    with pytest.raises(ValueError, match=why):
+def test_an_action_with_a_bad_value_or_an_unused_field_is_refused(fields: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         Action(**fields)  # type: ignore[arg-type]
 
 
@@ -121,18 +121,18 @@ def test_an_action_that_says_what_its_verb_does_not_use_is_refused(fields: dict[
     ("keys", "modifiers", "key"),
     [("a", 0, "a"), ("+", 0, "+"), ("Enter", 0, "Enter"), ("Control++", 2, "+"), ("Control+Shift+Tab", 10, "Tab")],
 )
-def test_a_chord_is_its_modifiers_and_its_key(keys: str, modifiers: int, key: str) -> None:
-    assert chord(keys) == (modifiers, key)
+def test_a_chord_is_parsed_into_modifiers_and_a_key(keys: str, modifiers: int, key: str) -> None:
+    assert parse_chord(keys) == (modifiers, key)
 
 
-def test_an_action_becomes_a_command_in_the_browsers_handles() -> None:
-    seen = Observation(episode=EpisodeSpec(task="t", seed=1), page=FLAT, goal=Goal("Drag it."))
+def test_a_command_has_browser_handles_in_place_of_rows() -> None:
+    observation = Observation(episode=EpisodeSpec(task="t", seed=1), page=FLAT, goal=Goal("Drag it."))
     drag = Action(verb=Verb.DRAG, element=0, to=2, at=(1.0, 2.0), by=(3.0, 4.0))
-    command = Command.of(drag, seen, last=True)
+    command = Command.of(drag, observation, last=True)
     first, third = int(FLAT.ref[0]), int(FLAT.ref[2])
     assert command == Command(verb=Verb.DRAG, ref=first, at=(1.0, 2.0), by=(3.0, 4.0), to=third, last=True)
-    assert Command.of(Action(verb=Verb.PRESS, literal="Enter"), seen) == Command(verb=Verb.PRESS, text="Enter")
-    assert Command.of(Action(verb=Verb.TYPE, element=1, start=1, end=1), seen).text == "it"
+    assert Command.of(Action(verb=Verb.PRESS, literal="Enter"), observation) == Command(verb=Verb.PRESS, text="Enter")
+    assert Command.of(Action(verb=Verb.TYPE, element=1, start=1, end=1), observation).text == "it"
 
 
 @pytest.mark.parametrize(
@@ -144,17 +144,17 @@ def test_an_action_becomes_a_command_in_the_browsers_handles() -> None:
         Action(verb=Verb.TYPE, element=0, literal="not in the goal"),
     ],
 )
-def test_what_the_nets_cannot_express_is_no_demonstration_for_them(action: Action) -> None:
-    with pytest.raises(ValueError, match=r"step 1 is .*: the nets learn only clicks on rows and typing words"):
-        trajectory("Click Ok.", [FLAT, FLAT], [CLICK, action]).check_learned()
-    trajectory("Click Ok.", [FLAT, FLAT], [CLICK, CLICK]).check_learned()
+def test_an_action_outside_the_action_space_of_the_nets_is_not_learnable(action: Action) -> None:
+    with pytest.raises(ValueError, match=r"step 1 is .*: the nets only click elements and type words"):
+        trajectory("Click Ok.", [FLAT, FLAT], [CLICK, action]).check_learnable()
+    trajectory("Click Ok.", [FLAT, FLAT], [CLICK, CLICK]).check_learnable()
 
 
 SEEDS = st.tuples(st.sampled_from(Purpose), st.integers(0, (1 << 16) - 1), st.integers(0, (1 << 32) - 1))
 
 
 @given(SEEDS, SEEDS)
-def test_two_page_seeds_agree_only_when_purpose_run_and_index_do(
+def test_page_seeds_are_distinct_for_distinct_purpose_run_seed_and_index(
     one: tuple[Purpose, int, int], two: tuple[Purpose, int, int]
 ) -> None:
     assert (page_seed(*one) == page_seed(*two)) == (one == two)
@@ -162,22 +162,22 @@ def test_two_page_seeds_agree_only_when_purpose_run_and_index_do(
 
 
 @pytest.mark.parametrize(("run_seed", "index"), [(-1, 0), (1 << 16, 0), (0, -1), (0, 1 << 32)])
-def test_a_seed_that_would_run_into_another_purpose_is_refused(run_seed: int, index: int) -> None:
+def test_a_run_seed_or_index_that_does_not_fit_is_refused(run_seed: int, index: int) -> None:
     with pytest.raises(ValueError, match="out of range"):
         page_seed(Purpose.TRAIN, run_seed, index)
 
 
-def test_only_full_reward_is_a_success() -> None:
+def test_only_the_full_reward_is_a_success() -> None:
     assert Outcome(raw_reward=1.0, ended=True).success
     assert not Outcome(raw_reward=0.999, ended=True).success
 
 
-def test_weights_that_changed_after_sealing_are_refused() -> None:
+def test_weights_with_a_wrong_checksum_are_refused() -> None:
     sealed = Weights.seal(3, b"abc")
     sealed.check()
     with pytest.raises(ValueError, match="version 3 are corrupt"):
         replace(sealed, blob=b"abd").check()
 
 
-def test_rows_of_a_sample_page_are_what_they_say() -> None:
+def test_the_text_of_a_sample_element_may_contain_a_colon() -> None:
     assert page("button:Ok: really").text == ("Ok: really",)

@@ -1,4 +1,4 @@
-"""Episodes on the wire and in files: what comes back of good bytes, and of all others."""
+"""Episodes as messages and as files: round trips, golden bytes, and errors for damaged or inconsistent ones."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from giirl_core.types import Episode, Trajectory
 from giirl_core.wire import messages as wire
-from giirl_core.wire.columns import head, pack, unpack
+from giirl_core.wire.columns import header_fields, pack, unpack
 from giirl_core.wire.messages import Stamp, WireError
 from tests.giirl_core.wire_examples import (
     STAMP,
@@ -19,9 +19,9 @@ from tests.giirl_core.wire_examples import (
     assert_same_trajectory,
     episode,
     episodes,
-    sealed,
-    signed,
+    raw_message,
     trajectories,
+    with_prefix,
 )
 
 GOLDEN = (
@@ -48,7 +48,7 @@ GOLDEN = (
 
 
 def altered(message: bytes, **columns: np.ndarray) -> bytes:
-    """An episode message with other columns, sealed again."""
+    """An episode message with some columns replaced and a valid checksum."""
     header, arrays = wire.decode(message)
     return wire.encode(header, {**arrays, **columns})
 
@@ -58,7 +58,7 @@ def altered(message: bytes, **columns: np.ndarray) -> bytes:
     st.integers(0, wire.MAX_COUNT - 1),
     st.text(alphabet=st.characters(codec="ascii", categories=["L", "N", "P"])),
 )
-def test_an_episode_comes_back_as_it_was_sent(sent: Episode, sequence: int, actor: str) -> None:
+def test_an_episode_survives_a_round_trip(sent: Episode, sequence: int, actor: str) -> None:
     stamp = Stamp(run="r", actor=actor, incarnation=0, sequence=sequence)
     found, found_stamp = wire.decode_episode(wire.encode_episode(sent, stamp=stamp))
     assert_same_episode(found, sent)
@@ -66,16 +66,16 @@ def test_an_episode_comes_back_as_it_was_sent(sent: Episode, sequence: int, acto
 
 
 @given(st.lists(trajectories(), max_size=4))
-def test_many_trajectories_share_columns_and_come_apart_again(sent: list[Trajectory]) -> None:
-    for found, wanted in zip(unpack(pack(sent), [head(one) for one in sent]), sent, strict=True):
+def test_many_trajectories_in_the_same_columns_survive_a_round_trip(sent: list[Trajectory]) -> None:
+    for found, wanted in zip(unpack(pack(sent), [header_fields(one) for one in sent]), sent, strict=True):
         assert_same_trajectory(found, wanted)
 
 
-def test_the_bytes_of_schema_4_are_these() -> None:
+def test_the_bytes_of_schema_version_5() -> None:
     assert wire.encode_episode(episode(1), stamp=STAMP).hex() == GOLDEN
 
 
-def test_the_header_says_what_delivery_and_a_reader_of_logs_need() -> None:
+def test_the_header_of_an_episode() -> None:
     header, _ = wire.decode(wire.encode_episode(episode(), stamp=STAMP))
     assert header == {
         "kind": "episode",
@@ -93,7 +93,7 @@ def test_the_header_says_what_delivery_and_a_reader_of_logs_need() -> None:
     }
 
 
-def test_equal_strings_are_carried_once() -> None:
+def test_equal_strings_are_stored_once() -> None:
     few, many = (wire.decode(wire.encode_episode(episode(n), stamp=STAMP))[1] for n in (1, 100))
     for name in ("characters", "string_ends"):
         assert few[name].tolist() == many[name].tolist()
@@ -102,41 +102,44 @@ def test_equal_strings_are_carried_once() -> None:
 @pytest.mark.parametrize("mask", [0x01, 0x80, 0xFF])
 def test_any_flipped_byte_is_a_wire_error(mask: int) -> None:
     message = wire.encode_episode(episode(1), stamp=STAMP)
-    for place in range(len(message)):
-        spoiled = message[:place] + bytes([message[place] ^ mask]) + message[place + 1 :]
+    for position in range(len(message)):
+        damaged = message[:position] + bytes([message[position] ^ mask]) + message[position + 1 :]
         with pytest.raises(WireError):
-            wire.decode_episode(spoiled)
+            wire.decode_episode(damaged)
 
 
-def test_a_truncated_message_is_a_wire_error_and_nothing_else() -> None:
+def test_a_truncated_message_is_a_wire_error() -> None:
     message = wire.encode_episode(episode(1), stamp=STAMP)
     for length in range(len(message)):
         with pytest.raises(WireError):
             wire.decode_episode(message[:length])
         if length >= wire.PREFIX.size:
             with pytest.raises(WireError):
-                wire.decode_episode(signed(message[wire.PREFIX.size : length]))
+                wire.decode_episode(with_prefix(message[wire.PREFIX.size : length]))
 
 
 @given(st.data())
-def test_a_message_with_bytes_left_out_put_in_or_moved_is_a_wire_error(data: st.DataObject) -> None:
+def test_a_message_with_bytes_removed_inserted_or_moved_is_a_wire_error(data: st.DataObject) -> None:
     message = wire.encode_episode(episode(1), stamp=STAMP)
-    places = st.integers(wire.PREFIX.size, len(message))
-    first, last = sorted((data.draw(places), data.draw(places)))
-    put_in = data.draw(st.binary(max_size=20))
-    for spoiled in (message[:first] + put_in + message[last:], message[:first] + message[last:] + message[first:last]):
-        if spoiled != message:
+    positions = st.integers(wire.PREFIX.size, len(message))
+    first, last = sorted((data.draw(positions), data.draw(positions)))
+    inserted = data.draw(st.binary(max_size=20))
+    for damaged in (
+        message[:first] + inserted + message[last:],
+        message[:first] + message[last:] + message[first:last],
+    ):
+        if damaged != message:
             with pytest.raises(WireError):
-                wire.decode_episode(spoiled)
-        if len(spoiled) != len(message):
+                wire.decode_episode(damaged)
+        if len(damaged) != len(message):
             with pytest.raises(WireError):
-                wire.decode_episode(signed(spoiled[wire.PREFIX.size :]))
+                wire.decode_episode(with_prefix(damaged[wire.PREFIX.size :]))
 
 
 @given(st.dictionaries(st.text(max_size=8), st.integers() | st.text(max_size=3) | st.none(), max_size=3))
-def test_a_header_that_is_no_episodes_is_a_wire_error(header: dict[str, object]) -> None:
+def test_a_header_without_the_fields_of_an_episode_is_a_wire_error(header: dict[str, object]) -> None:
     with pytest.raises(WireError):
-        wire.decode_episode(sealed([{**{k: repr(v) for k, v in header.items()}, "kind": "episode"}, [], [], []]))
+        wire.decode_episode(raw_message([{**{k: repr(v) for k, v in header.items()}, "kind": "episode"}, [], [], []]))
 
 
 @pytest.mark.parametrize(
@@ -170,13 +173,13 @@ def test_a_header_that_is_no_episodes_is_a_wire_error(header: dict[str, object])
     ],
     ids=repr,
 )
-def test_columns_that_contradict_each_other_are_a_wire_error(name: str, value: np.ndarray) -> None:
+def test_inconsistent_columns_are_a_wire_error(name: str, value: np.ndarray) -> None:
     message = wire.encode_episode(episode(2), stamp=STAMP)
     with pytest.raises(WireError):
         wire.decode_episode(altered(message, **{name: value}))
 
 
-def test_a_file_of_episodes_comes_back(tmp_path: Path) -> None:
+def test_an_episode_file_survives_a_round_trip(tmp_path: Path) -> None:
     path = tmp_path / "some.episodes"
     sent = [episode(1, seed=1), episode(3, seed=2)]
     wire.write_episodes(path, sent)
@@ -187,20 +190,20 @@ def test_a_file_of_episodes_comes_back(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_file_cut_anywhere_or_spoiled_anywhere_says_so_in_one_line(tmp_path: Path) -> None:
+def test_a_file_truncated_or_damaged_anywhere_is_refused_in_one_line(tmp_path: Path) -> None:
     path = tmp_path / "some.episodes"
     wire.write_episodes(path, [episode(1)])
     whole = path.read_bytes()
-    spoiled = [whole[:place] + bytes([byte ^ 0xFF]) + whole[place + 1 :] for place, byte in enumerate(whole)]
-    for data in [*(whole[:length] for length in range(len(whole))), *spoiled, whole + b"\0"]:
+    damaged = [whole[:position] + bytes([byte ^ 0xFF]) + whole[position + 1 :] for position, byte in enumerate(whole)]
+    for data in [*(whole[:length] for length in range(len(whole))), *damaged, whole + b"\0"]:
         path.write_bytes(data)
-        with pytest.raises(ValueError, match=r"some\.episodes is (no episode file|damaged)") as caught:
+        with pytest.raises(ValueError, match=r"some\.episodes is (not an episode file|damaged)") as caught:
             wire.read_episodes(path)
         assert "\n" not in str(caught.value)
         assert not isinstance(caught.value, WireError)
 
 
-def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+def test_a_failed_write_leaves_the_old_file_unchanged_and_no_other_files(tmp_path: Path) -> None:
     path = tmp_path / "some.episodes"
     wire.write_episodes(path, [episode(1)])
     before = path.read_bytes()

@@ -1,4 +1,4 @@
-"""Episodes to send, a small fixed one and any that hypothesis can think of; and bytes that only look like a message."""
+"""Example episodes (a small fixed one, and hypothesis strategies), and malformed messages with a valid checksum."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import msgpack
 import numpy as np
 from hypothesis import strategies as st
 
-from giirl_core.types import USES, Action, Episode, Goal, Outcome, Page, Trajectory, Verb
+from giirl_core.types import VERB_FIELDS, Action, Episode, Goal, Outcome, Page, Trajectory, Verb
 from giirl_core.wire import messages as wire
 from giirl_core.wire.messages import Stamp
 
 STAMP = Stamp(run="run-1", actor="actor-7", incarnation=2, sequence=41)
-# JavaScript strings may hold half a surrogate pair, so pages may.
+# JavaScript strings, and therefore pages, may contain lone surrogates.
 TEXT = st.text(st.characters(codec=None), max_size=6)
 NUMBER = st.floats(-1e4, 1e4, width=32)
 
 
 def page(*labels: str) -> Page:
-    """A body of buttons."""
+    """A page of buttons with these labels."""
     count = len(labels)
     return Page(
         tag=("button",) * count,
@@ -33,7 +33,7 @@ def page(*labels: str) -> Page:
 
 
 def episode(steps: int = 2, *, seed: int = 5, policy_version: int = 3, reward_version: int = -1) -> Episode:
-    """The same button clicked again and again."""
+    """An episode that clicks the same button in every step."""
     return Episode(
         trajectory=Trajectory(
             task="click-button",
@@ -52,7 +52,7 @@ def episode(steps: int = 2, *, seed: int = 5, policy_version: int = 3, reward_ve
 
 @st.composite
 def pages(draw: st.DrawFn) -> Page:
-    """Any page with at least one row."""
+    """Any page with at least one element."""
     count = draw(st.integers(1, 5))
     texts = st.lists(TEXT, min_size=count, max_size=count).map(tuple)
     return Page(
@@ -71,40 +71,40 @@ def pages(draw: st.DrawFn) -> Page:
 
 
 @st.composite
-def actions(draw: st.DrawFn, seen: Page, goal: Goal, learned: bool) -> Action:
-    """Any action on a page, or any that the nets can choose."""
-    if learned:
+def actions(draw: st.DrawFn, page: Page, goal: Goal, learnable: bool) -> Action:
+    """Any action on a page; only learnable ones if `learnable`."""
+    if learnable:
         start = draw(st.integers(-1, len(goal.tokens) - 1))
         verb = Verb.CLICK if start < 0 else Verb.TYPE
-        return Action(verb=verb, element=draw(st.integers(0, len(seen) - 1)), start=start, end=start)
-    rows, offsets = st.integers(-1, len(seen) - 1), st.tuples(NUMBER, NUMBER)
+        return Action(verb=verb, element=draw(st.integers(0, len(page) - 1)), start=start, end=start)
+    rows, offsets = st.integers(-1, len(page) - 1), st.tuples(NUMBER, NUMBER)
     verb = draw(st.sampled_from(Verb))
-    start = draw(st.integers(-1, len(goal.tokens) - 1)) if "start" in USES[verb] else -1
-    literal = draw(TEXT) if "literal" in USES[verb] and start < 0 else ""
+    start = draw(st.integers(-1, len(goal.tokens) - 1)) if "start" in VERB_FIELDS[verb] else -1
+    literal = draw(TEXT) if "literal" in VERB_FIELDS[verb] and start < 0 else ""
     return Action(
         verb=verb,
         element=draw(rows),
         start=start,
         end=start if start < 0 else draw(st.integers(start, len(goal.tokens) - 1)),
         literal=draw(st.sampled_from(("Enter", "Control+c"))) if verb is Verb.PRESS else literal,
-        at=draw(offsets) if "at" in USES[verb] else (0.0, 0.0),
-        by=draw(offsets) if "by" in USES[verb] else (0.0, 0.0),
-        to=draw(rows) if "to" in USES[verb] else -1,
+        at=draw(offsets) if "at" in VERB_FIELDS[verb] else (0.0, 0.0),
+        by=draw(offsets) if "by" in VERB_FIELDS[verb] else (0.0, 0.0),
+        to=draw(rows) if "to" in VERB_FIELDS[verb] else -1,
     )
 
 
 @st.composite
-def trajectories(draw: st.DrawFn, learned: bool = False) -> Trajectory:
-    """Any trajectory of one to four steps; of actions that the nets can choose, if `learned`."""
-    shown = tuple(draw(st.lists(pages(), min_size=1, max_size=4)))
+def trajectories(draw: st.DrawFn, learnable: bool = False) -> Trajectory:
+    """Any trajectory of one to four steps; only with learnable actions if `learnable`."""
+    path = tuple(draw(st.lists(pages(), min_size=1, max_size=4)))
     goal = Goal("w" + draw(TEXT))
-    numbers = st.lists(NUMBER, min_size=len(shown), max_size=len(shown))
+    numbers = st.lists(NUMBER, min_size=len(path), max_size=len(path))
     return Trajectory(
         task=draw(TEXT),
         goal=goal,
         seed=draw(st.integers(0, 2**53)),
-        pages=shown,
-        actions=tuple(draw(actions(seen, goal, learned)) for seen in shown),
+        pages=path,
+        actions=tuple(draw(actions(page, goal, learnable)) for page in path),
         behaviour_logp=np.array(draw(numbers), np.float32),
         rewards=np.array(draw(numbers), np.float32),
         policy_version=draw(st.integers(-1, 10**9)),
@@ -119,36 +119,36 @@ episodes = st.builds(
 )
 
 
-def sealed(body: object, columns: bytes = b"") -> bytes:
-    """A message whose checksum is right, whatever it says."""
-    return sealed_bytes(msgpack.packb(body), columns)
+def raw_message(header: object, columns: bytes = b"") -> bytes:
+    """A message with a valid checksum and any header."""
+    return raw_message_bytes(msgpack.packb(header), columns)
 
 
-def sealed_bytes(body: bytes, columns: bytes = b"") -> bytes:
-    """The same, of what may be no msgpack."""
-    return signed(wire.LENGTH.pack(len(body)) + body + wire.GAPS[len(body) % wire.ALIGN] + columns)
+def raw_message_bytes(header: bytes, columns: bytes = b"") -> bytes:
+    """A message with a valid checksum and a header that need not be msgpack."""
+    return with_prefix(wire.LENGTH.pack(len(header)) + header + wire.PADDING[len(header) % wire.ALIGN] + columns)
 
 
-def signed(rest: bytes) -> bytes:
-    """A prefix that suits whatever follows."""
-    return wire.PREFIX.pack(wire.MAGIC, wire.SCHEMA, wire.checksum(rest)) + rest
+def with_prefix(body: bytes) -> bytes:
+    """A message with a valid prefix and any body."""
+    return wire.PREFIX.pack(wire.MAGIC, wire.SCHEMA_VERSION, wire.checksum(body)) + body
 
 
 def assert_same_trajectory(found: Trajectory, wanted: Trajectory) -> None:
-    """Every field is the same, to the bit and to the type."""
+    """Check that all fields are equal, bit for bit and in type."""
     for name in ("task", "goal", "seed", "actions", "policy_version", "reward_version"):
         assert getattr(found, name) == getattr(wanted, name)
     for name in ("behaviour_logp", "rewards"):
         _assert_same_array(getattr(found, name), getattr(wanted, name))
-    for seen, meant in zip(found.pages, wanted.pages, strict=True):
+    for found_page, wanted_page in zip(found.pages, wanted.pages, strict=True):
         for name in ("tag", "text", "value", "classes", "colour", "shape"):
-            assert getattr(seen, name) == getattr(meant, name)
+            assert getattr(found_page, name) == getattr(wanted_page, name)
         for name in ("ref", "parent", "box", "focused", "tampered"):
-            _assert_same_array(getattr(seen, name), getattr(meant, name))
+            _assert_same_array(getattr(found_page, name), getattr(wanted_page, name))
 
 
 def assert_same_episode(found: Episode, wanted: Episode) -> None:
-    """The trajectory is the same, and the outcome."""
+    """Check that the trajectories and the outcomes are equal."""
     assert_same_trajectory(found.trajectory, wanted.trajectory)
     assert found.outcome == wanted.outcome
 

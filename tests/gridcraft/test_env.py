@@ -1,4 +1,4 @@
-"""The Gymnasium environment: Gymnasium's own check, and the same world that the tables describe."""
+"""The Gymnasium environment passes Gymnasium's checker and follows the tables of the world."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ def test_gymnasium_accepts_the_environment(layout: Any) -> None:
     check_env(gymnasium.make("giirl/LanguageGridCraft-v0", layout=layout, slip=0.1, render_mode="ansi").unwrapped)
 
 
-def test_the_registered_name_makes_it() -> None:
+def test_gymnasium_makes_the_environment_by_its_registered_name() -> None:
     env = gymnasium.make("giirl/LanguageGridCraft-v0", layout="four", plain=True)
-    seen, info = env.reset(seed=0)
+    observation, info = env.reset(seed=0)
     assert isinstance(env.unwrapped, LanguageGridCraft)
-    assert seen["instruction"] == f"Go to {info['goal'].capitalize()}. Avoid {info['avoid'].capitalize()}."
+    assert observation["instruction"] == f"Go to {info['goal'].capitalize()}. Avoid {info['avoid'].capitalize()}."
 
 
-def test_every_sentence_fits_the_space_it_is_announced_in() -> None:
+def test_the_observation_space_contains_every_sentence() -> None:
     space = LanguageGridCraft("four").observation_space["instruction"]  # type: ignore[index]
     assert all(space.contains(sentence) for pair in ordered_pairs() for sentence in sentences(pair))
 
 
-def test_an_episode_pays_by_the_tables_and_ends_at_the_horizon_alone() -> None:
+def test_rewards_and_transitions_follow_the_tables_and_episodes_end_only_at_the_horizon() -> None:
     env = LanguageGridCraft("regions")
     pair = Pair("blue", "green")
     _, info = env.reset(seed=3, options={"pair": pair})
@@ -45,42 +45,42 @@ def test_an_episode_pays_by_the_tables_and_ends_at_the_horizon_alone() -> None:
     reward, rng = true_reward(env.world, pair), np.random.default_rng(0)
     for t in range(HORIZON):
         state, action = info["state"], int(rng.integers(5))
-        seen, earned, terminated, truncated, info = env.step(action)
-        assert earned == reward[state, action]
+        observation, got, terminated, truncated, info = env.step(action)
+        assert got == reward[state, action]
         assert info["state"] == env.world.next_state[state, action]
-        assert (seen["position"] == env.world.position[info["state"]]).all()
+        assert (observation["position"] == env.world.position[info["state"]]).all()
         assert (terminated, truncated) == (False, t == HORIZON - 1)
 
 
-def test_the_seed_fixes_what_is_asked_and_where_it_starts() -> None:
+def test_the_seed_determines_the_instruction_and_the_start_state() -> None:
     env = LanguageGridCraft("regions")
     first = [(o["instruction"], i["state"]) for o, i in (env.reset(seed=s) for s in range(30))]
     assert first == [(o["instruction"], i["state"]) for o, i in (env.reset(seed=s) for s in range(30))]
     assert len(set(first)) > 20
 
 
-def test_only_the_pairs_allowed_are_asked_for() -> None:
+def test_episodes_use_only_the_allowed_pairs() -> None:
     allowed = (Pair("red", "blue"), Pair("green", "blue"))
     env = LanguageGridCraft("regions", pairs=allowed)
-    asked = {Pair(i["goal"], i["avoid"]) for _, i in (env.reset(seed=s) for s in range(30))}
-    assert asked == set(allowed)
+    used = {Pair(i["goal"], i["avoid"]) for _, i in (env.reset(seed=s) for s in range(30))}
+    assert used == set(allowed)
     with pytest.raises(ValueError, match=r"wanted .'pair'"):
         env.reset(options={"pair": Pair("blue", "red")})
     with pytest.raises(ValueError, match=r"wanted .'pair'"):
         env.reset(options={"layout": "four"})
 
 
-def test_the_picture_shows_the_agent_on_the_map_under_its_instruction() -> None:
+def test_the_rendering_shows_the_instruction_and_the_agent_on_the_map() -> None:
     env = LanguageGridCraft("regions", render_mode="ansi")
-    seen, _ = env.reset(seed=1)
-    picture = str(env.render()).splitlines()
-    row, column = seen["position"]
-    assert picture[0] == seen["instruction"]
-    assert picture[1 + row][column] == "@"
-    assert picture[1][0] in "R@"
+    observation, _ = env.reset(seed=1)
+    lines = str(env.render()).splitlines()
+    row, column = observation["position"]
+    assert lines[0] == observation["instruction"]
+    assert lines[1 + row][column] == "@"
+    assert lines[1][0] in "R@"
 
 
-def test_what_the_environment_cannot_do_is_refused_with_what_it_can() -> None:
+def test_illegal_arguments_are_errors_that_name_the_legal_ones() -> None:
     with pytest.raises(ValueError, match="wanted 'ansi'"):
         LanguageGridCraft(render_mode="human")
     with pytest.raises(ValueError, match="at least 1"):

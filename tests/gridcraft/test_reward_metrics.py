@@ -1,4 +1,4 @@
-"""Each measure against small cases by hand, and against rewards whose worth is known."""
+"""Each metric agrees with small cases computed by hand and with rewards of known quality."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from numpy.typing import NDArray
 from giirl.statistics import goal_sensitivity
 from gridcraft.instructions import Pair
 from gridcraft.layouts import LAYOUTS, Layout, random_layout
-from gridcraft.planning import draw_paths, expected_return, random_policy, solve
+from gridcraft.planning import expected_return, random_policy, sample_trajectories, solve
 from gridcraft.reward_metrics import (
     auc,
     avoid_rank,
-    avoid_time,
     canonical,
-    entering_mean,
     epic_distance,
+    incoming_mean,
     matched_avoid_rank,
     pearson,
     ranks,
     reoptimise,
-    reoptimised_fraction,
+    reoptimised_normalized_return,
     reoptimised_return,
     spearman,
     state_mean,
     value_correlation,
     violation_rate,
+    violation_step_fraction,
 )
 from gridcraft.world import build_world, true_reward
 
@@ -53,13 +53,13 @@ def shaped(reward: Array, potential: Array, discount: float) -> Array:
     return reward[:, :, None] + discount * potential[None, None, :] - potential[:, None, None]
 
 
-def test_ranks_of_equal_values_are_shared() -> None:
+def test_equal_values_share_their_mean_rank() -> None:
     assert ranks(np.array([30.0, 10.0, 20.0, 10.0])).tolist() == [4, 1.5, 3, 1.5]
     assert ranks(np.array([0.1 + 0.2, 0.3, 0.0])).tolist() == [2.5, 2.5, 1]
     assert ranks(np.zeros(3)).tolist() == [2, 2, 2]
 
 
-def test_correlations_are_those_worked_out_by_hand() -> None:
+def test_correlations_match_values_computed_by_hand() -> None:
     x, y = np.array([1.0, 2.0, 3.0, 4.0]), np.array([1.0, 3.0, 2.0, 10.0])
     assert spearman(x, y) == pytest.approx(1 - 6 * (0 + 1 + 1 + 0) / (4 * (16 - 1)))
     assert pearson(x, y) == pytest.approx(13 / math.sqrt(5 * 50))
@@ -67,27 +67,27 @@ def test_correlations_are_those_worked_out_by_hand() -> None:
     assert spearman(x, np.exp(5 * x)) == pytest.approx(1)
 
 
-def test_with_a_constant_nothing_correlates() -> None:
+def test_a_correlation_with_a_constant_is_nan() -> None:
     assert math.isnan(pearson(np.full(9, 0.1), noise(9)))
     assert math.isnan(spearman(noise(9), np.zeros(9)))
     assert math.isnan(epic_distance(np.ones((4, 5)), noise(4, 5)))
 
 
-def test_the_optimal_value_as_reward_correlates_with_itself_and_the_sparse_reward_hardly() -> None:
+def test_the_optimal_value_correlates_fully_with_itself_and_weakly_with_the_sparse_reward() -> None:
     of_value = value_correlation(REGIONS, VALUE, BEST)
     assert (of_value.spearman, of_value.pearson) == pytest.approx((1, 1))
     assert value_correlation(REGIONS, TRUE, BEST).spearman == pytest.approx(0.44, abs=0.005)
 
 
-def test_of_random_rewards_none_correlates_on_average_and_each_is_far_by_epic() -> None:
+def test_random_rewards_have_no_mean_correlation_and_a_large_epic_distance() -> None:
     random = [noise(len(REGIONS), 5, seed=seed) for seed in range(40)]
-    ranked = [value_correlation(REGIONS, reward, BEST).spearman for reward in random]
-    assert abs(np.mean(ranked)) < 0.06
-    assert 0.05 < np.mean(np.abs(ranked)) < 0.2
+    correlations = [value_correlation(REGIONS, reward, BEST).spearman for reward in random]
+    assert abs(np.mean(correlations)) < 0.06
+    assert 0.05 < np.mean(np.abs(correlations)) < 0.2
     assert [epic_distance(reward, TRUE) for reward in random] == pytest.approx([0.5**0.5] * 40, abs=0.07)
 
 
-def test_the_canonical_reward_is_the_formula_written_naively() -> None:
+def test_the_canonical_reward_matches_the_naive_formula() -> None:
     R, g = noise(4, 5, 4), 0.9
     S, A = range(4), range(5)
     C = canonical(R, g)
@@ -99,7 +99,7 @@ def test_the_canonical_reward_is_the_formula_written_naively() -> None:
 
 
 @given(st.integers(0, 1000), st.floats(0, 0.99), st.floats(0.01, 100))
-def test_epic_sees_neither_shaping_nor_scale_nor_a_constant(seed: int, discount: float, scale: float) -> None:
+def test_epic_ignores_shaping_scale_and_constants(seed: int, discount: float, scale: float) -> None:
     reward, other = noise(6, 5, seed=seed), noise(6, 5, seed=seed + 1)
     same = scale * shaped(reward, noise(6, seed=seed + 2), discount) + 3.0
     assert epic_distance(same, reward, discount) == pytest.approx(0, abs=1e-6)
@@ -107,7 +107,7 @@ def test_epic_sees_neither_shaping_nor_scale_nor_a_constant(seed: int, discount:
     assert epic_distance(-same, reward, discount) == pytest.approx(1, abs=1e-6)
 
 
-def test_epic_is_the_root_of_half_of_one_less_pearson_and_nothing_but_shaping_has_none() -> None:
+def test_epic_matches_its_pearson_formula_and_is_nan_for_pure_shaping() -> None:
     one, other = noise(6, 5), noise(6, 5, seed=1)
     rho = np.corrcoef(canonical(one).ravel(), canonical(other).ravel())[0, 1]
     assert epic_distance(one, other) == pytest.approx(math.sqrt((1 - rho) / 2))
@@ -115,32 +115,32 @@ def test_epic_is_the_root_of_half_of_one_less_pearson_and_nothing_but_shaping_ha
     assert math.isnan(epic_distance(shaped(np.zeros((6, 5)), noise(6), 0.95), one))
 
 
-def test_the_sparse_reward_is_nought_from_itself_by_epic_and_its_value_is_half_way() -> None:
+def test_the_epic_distance_of_the_sparse_reward_is_0_to_itself_and_half_to_its_value() -> None:
     assert epic_distance(TRUE, TRUE) == 0
     assert epic_distance(VALUE, TRUE) == pytest.approx(0.51, abs=0.005)
 
 
-def test_an_agent_that_optimises_the_true_reward_or_its_value_does_what_can_be_done() -> None:
+def test_reoptimising_the_true_reward_or_its_value_is_optimal() -> None:
     for reward in (TRUE, 7 * TRUE, shaped(TRUE, noise(len(REGIONS)), 0.95)):
-        assert reoptimised_fraction(REGIONS, reward, TRUE) == pytest.approx(1)
-    assert reoptimised_fraction(REGIONS, VALUE, TRUE) == pytest.approx(1)
-    assert reoptimised_fraction(REGIONS, np.zeros_like(TRUE), TRUE) == pytest.approx(0)
-    assert reoptimised_fraction(REGIONS, true_reward(REGIONS, Pair("green", "blue")), TRUE) < 0.03
-    assert reoptimised_fraction(REGIONS, -TRUE, TRUE) < -0.1
+        assert reoptimised_normalized_return(REGIONS, reward, TRUE) == pytest.approx(1)
+    assert reoptimised_normalized_return(REGIONS, VALUE, TRUE) == pytest.approx(1)
+    assert reoptimised_normalized_return(REGIONS, np.zeros_like(TRUE), TRUE) == pytest.approx(0)
+    assert reoptimised_normalized_return(REGIONS, true_reward(REGIONS, Pair("green", "blue")), TRUE) < 0.03
+    assert reoptimised_normalized_return(REGIONS, -TRUE, TRUE) < -0.1
     policy = reoptimise(REGIONS, TRUE)
     assert reoptimised_return(REGIONS, TRUE, TRUE) == expected_return(REGIONS, policy, TRUE)
 
 
-def test_the_auc_is_the_share_of_pairs_in_order() -> None:
-    higher, lower = np.array([3.0, 1.0, 2.0]), np.array([1.0, 0.0, 2.0, 5.0])
-    naive = np.mean([(h > x) + 0.5 * (h == x) for h in higher for x in lower])
-    assert auc(higher, lower) == pytest.approx(naive)
-    assert auc(higher, higher) == pytest.approx(0.5)
+def test_the_auc_is_the_fraction_of_correctly_ordered_pairs() -> None:
+    positive, negative = np.array([3.0, 1.0, 2.0]), np.array([1.0, 0.0, 2.0, 5.0])
+    naive = np.mean([(h > x) + 0.5 * (h == x) for h in positive for x in negative])
+    assert auc(positive, negative) == pytest.approx(naive)
+    assert auc(positive, positive) == pytest.approx(0.5)
     with pytest.raises(ValueError, match="at least one of each"):
-        auc(higher, np.array([]))
+        auc(positive, np.array([]))
 
 
-def test_goal_sensitivity_is_one_for_a_reward_that_reads_and_half_for_one_that_does_not() -> None:
+def test_goal_sensitivity_is_1_for_a_reward_that_depends_on_the_goal_and_half_otherwise() -> None:
     right = noise(300)
     assert goal_sensitivity(right + 10, right) == 1
     assert goal_sensitivity(right, right) == pytest.approx(0.5)
@@ -152,62 +152,62 @@ def test_goal_sensitivity_is_one_for_a_reward_that_reads_and_half_for_one_that_d
     assert goal_sensitivity(table, other, np.array([[3.0, 2.0], [1.0, 0.0]])) == pytest.approx((3 + 2 / 2) / 6)
 
 
-def test_the_mean_on_entering_is_taken_over_the_steps_from_other_cells() -> None:
-    world = build_world([Layout.draw("row", "..B")])
+def test_the_incoming_mean_averages_over_transitions_from_other_cells() -> None:
+    world = build_world([Layout.parse("row", "..B")])
     reward = np.zeros((3, 5))
     reward[1, 3], reward[1, 2], reward[2, 4], reward[0, 3] = -4, 2, 9, 1  # onto blue, back left, stay on blue, right
     assert state_mean(reward) == pytest.approx([1 / 5, -2 / 5, 9 / 5])
     # Cell 0 is entered from 1 at 2; cell 1 from 0 at 1 and from 2 at 0; blue from 1 at -4.
-    assert entering_mean(world, reward) == pytest.approx([2, 0.5, -4])
-    alone = build_world([Layout.draw("alone", ".")])
-    assert np.isnan(entering_mean(alone, np.ones((1, 5)))).all()
+    assert incoming_mean(world, reward) == pytest.approx([2, 0.5, -4])
+    alone = build_world([Layout.parse("alone", ".")])
+    assert np.isnan(incoming_mean(alone, np.ones((1, 5)))).all()
 
 
-def test_the_avoid_rank_counts_the_neutral_cells_above_each_avoided_one() -> None:
-    world = build_world([Layout.draw("row", "R..BB.")])
+def test_the_avoid_rank_counts_the_neutral_cells_with_a_higher_score() -> None:
+    world = build_world([Layout.parse("row", "R..BB.")])
     score = np.array([9.0, 3.0, 1.0, 2.0, 0.0, 0.0])
-    #  blue 2.0: one of three neutral cells is above; blue 0.0: two are, and one is equal
+    # Blue at 2.0: one of three neutral cells is higher. Blue at 0.0: two are higher, one is equal.
     assert avoid_rank(world, score, RED_NOT_BLUE) == pytest.approx((1 + 2.5) / 6)
     assert avoid_rank(REGIONS, state_mean(TRUE), RED_NOT_BLUE) == 1
     assert avoid_rank(REGIONS, -state_mean(TRUE), RED_NOT_BLUE) == 0
     assert avoid_rank(REGIONS, np.zeros(len(REGIONS)), RED_NOT_BLUE) == 0.5
 
 
-def test_among_cells_as_far_from_the_goal_the_optimal_value_ranks_every_avoided_cell_last() -> None:
+def test_at_equal_distance_the_optimal_value_ranks_every_avoided_cell_last() -> None:
     value = solve(REGIONS, TRUE).v
     assert matched_avoid_rank(REGIONS, value, RED_NOT_BLUE) == 1
-    assert avoid_rank(REGIONS, value, RED_NOT_BLUE) < 0.8  # blue is nearer to red than many a white cell
+    assert avoid_rank(REGIONS, value, RED_NOT_BLUE) < 0.8  # blue is nearer to red than many white cells
     toward_goal = solve(REGIONS, np.maximum(TRUE, 0)).v
     assert matched_avoid_rank(REGIONS, toward_goal, RED_NOT_BLUE) == 0.5
-    row = build_world([Layout.draw("row", "R.B")])
+    row = build_world([Layout.parse("row", "R.B")])
     assert math.isnan(matched_avoid_rank(row, np.zeros(3), RED_NOT_BLUE))
 
 
-def test_avoided_cells_are_matched_with_neutral_ones_of_their_own_layout_only() -> None:
-    first, second = Layout.draw("first", "R.. .B."), Layout.draw("second", "R.. ..B")
+def test_avoided_cells_are_matched_only_with_neutral_cells_of_their_own_layout() -> None:
+    first, second = Layout.parse("first", "R.. .B."), Layout.parse("second", "R.. ..B")
     world = build_world([first, second])
     #                 R  .  .  .  B  .    R  .  .  .  .  B
     score = np.array([0, 0, 5, 0, 3, 0, 0, 0, -9, 0, -9, 0], dtype=np.float64)
-    # Blue is 2 from red in the first, as is the white cell that scores 5; in the second it is 3 away, alone.
+    # First layout: blue and the white cell with score 5 are both 2 steps from red. Second: only blue is 3 steps away.
     assert matched_avoid_rank(world, score, RED_NOT_BLUE) == 1
 
 
-def test_the_time_on_the_avoided_colour_and_the_rate_of_entering_are_exact() -> None:
-    world = build_world([Layout.draw("row", ".BR")])
+def test_the_violation_rates_are_exact() -> None:
+    world = build_world([Layout.parse("row", ".BR")])
     right = np.zeros((3, 5))
     right[:, 3] = 1
     assert violation_rate(world, right, RED_NOT_BLUE, horizon=4) == pytest.approx(1)
-    assert avoid_time(world, right, RED_NOT_BLUE, horizon=4) == pytest.approx(1 / 4)
+    assert violation_step_fraction(world, right, RED_NOT_BLUE, horizon=4) == pytest.approx(1 / 4)
     assert violation_rate(world, right, RED_NOT_BLUE, horizon=1) == 0
-    # Chance enters with 1/5 a step; the last of four actions is taken where three steps led.
+    # The random policy moves right with probability 1/5. The fourth action is taken after three moves.
     assert violation_rate(world, random_policy(world), RED_NOT_BLUE, horizon=4) == pytest.approx(1 - 0.8**3)
 
 
 @pytest.mark.parametrize("slip", [0.0, 0.2])
-def test_the_rate_of_entering_is_that_of_sampled_episodes(slip: float) -> None:
+def test_the_violation_rates_match_sampled_episodes(slip: float) -> None:
     world = build_world([random_layout(0)], slip)
     pi, rng = random_policy(world), np.random.default_rng(0)
     starts = rng.choice(len(world), size=20_000, p=world.start)
-    on_blue = world.colour[draw_paths(world, pi, starts, rng, horizon=12).states[:, :-1]] == 3
+    on_blue = world.colour[sample_trajectories(world, pi, starts, rng, horizon=12).states[:, :-1]] == 3
     assert violation_rate(world, pi, RED_NOT_BLUE, 12) == pytest.approx(on_blue.any(axis=1).mean(), abs=0.015)
-    assert avoid_time(world, pi, RED_NOT_BLUE, 12) == pytest.approx(on_blue.mean(), abs=0.01)
+    assert violation_step_fraction(world, pi, RED_NOT_BLUE, 12) == pytest.approx(on_blue.mean(), abs=0.01)

@@ -1,4 +1,4 @@
-"""The world: drawings, seeds, and a table of steps held against moving on the drawing by hand."""
+"""Layouts parse and generate as specified, and the transition table agrees with moves on the drawing."""
 
 from __future__ import annotations
 
@@ -10,54 +10,54 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gridcraft.instructions import Pair
-from gridcraft.layouts import COLOURS, LAYOUTS, WALL, Layout, named_layout, random_layout, reachable_cleanly
+from gridcraft.layouts import COLOURS, LAYOUTS, WALL, Layout, named_layout, random_layout, regions_reachable
 from gridcraft.world import (
     ACTIONS,
     build_world,
-    draw_starts,
     expected_value,
     observations,
+    sample_starts,
     step,
     transitions,
     true_reward,
 )
 
-SMALL = Layout.draw("small", "R.# ... .BG")
+SMALL = Layout.parse("small", "R.# ... .BG")
 UP, DOWN, LEFT, RIGHT, STAY = range(len(ACTIONS))
 
 
 @pytest.mark.parametrize("name", sorted(LAYOUTS))
-def test_a_named_layout_lets_every_colour_be_reached_without_touching_another(name: str) -> None:
-    assert reachable_cleanly(LAYOUTS[name].cells)
+def test_every_region_of_a_named_layout_is_reachable_over_white_cells(name: str) -> None:
+    assert regions_reachable(LAYOUTS[name].cells)
     assert len(LAYOUTS[name].colours) >= 2
 
 
 @pytest.mark.parametrize("layout", [*LAYOUTS.values(), random_layout(3)], ids=lambda layout: layout.name)
-def test_a_layout_drawn_from_its_own_drawing_is_the_same(layout: Layout) -> None:
-    assert (Layout.draw("copy", layout.drawing).cells == layout.cells).all()
+def test_parsing_the_drawing_of_a_layout_gives_the_same_layout(layout: Layout) -> None:
+    assert (Layout.parse("copy", layout.drawing).cells == layout.cells).all()
 
 
 @pytest.mark.parametrize(
-    ("drawing", "complaint"),
+    ("drawing", "message"),
     [
         ("", "is empty"),
         ("R.. ..", "line 2 has 2 cells, line 1 has 3"),
         ("R.. .x.", "line 2 has 'x'"),
         ("RR GG", "no white cell"),
-        (".#. .#R", "falls apart"),
+        (".#. .#R", "is not connected"),
         ("##", "no white cell"),
     ],
 )
-def test_a_drawing_that_is_no_layout_is_refused_with_its_reason(drawing: str, complaint: str) -> None:
-    with pytest.raises(ValueError, match=complaint):
-        Layout.draw("bad", drawing)
+def test_a_malformed_drawing_is_an_error_that_names_the_reason(drawing: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Layout.parse("bad", drawing)
 
 
-def test_what_is_not_there_is_refused_with_what_is() -> None:
+def test_illegal_layout_names_colours_and_slips_are_errors() -> None:
     with pytest.raises(ValueError, match="wanted one of regions"):
         named_layout("region")
     with pytest.raises(ValueError, match="no blue cell"):
-        true_reward(build_world([Layout.draw("two", "R.G")]), Pair("red", "blue"))
+        true_reward(build_world([Layout.parse("two", "R.G")]), Pair("red", "blue"))
     with pytest.raises(ValueError, match="at least one layout"):
         build_world([])
     with pytest.raises(ValueError, match="wanted a probability"):
@@ -72,7 +72,7 @@ def test_what_is_not_there_is_refused_with_what_is() -> None:
     st.integers(1, 4),
     st.integers(0, 4),
 )
-def test_a_random_layout_has_what_was_asked_and_a_clean_way_to_every_region(
+def test_a_random_layout_has_the_requested_cells_and_reachable_regions(
     seed: int, height: int, width: int, colours: tuple[str, ...], region_cells: int, wall_cells: int
 ) -> None:
     layout = random_layout(
@@ -82,16 +82,16 @@ def test_a_random_layout_has_what_was_asked_and_a_clean_way_to_every_region(
     assert set(layout.colours) == set(colours)
     assert np.count_nonzero(layout.cells > 0) == region_cells * len(colours)
     assert np.count_nonzero(layout.cells == WALL) == wall_cells
-    assert reachable_cleanly(layout.cells)
+    assert regions_reachable(layout.cells)
 
 
-def test_a_seed_is_a_layout_and_another_seed_another() -> None:
+def test_the_seed_determines_the_random_layout() -> None:
     drawings = [random_layout(seed).drawing for seed in range(20)]
     assert drawings == [random_layout(seed).drawing for seed in range(20)]
     assert len(set(drawings)) == 20
 
 
-def test_a_random_layout_that_cannot_be_is_refused() -> None:
+def test_an_impossible_random_layout_is_an_error() -> None:
     with pytest.raises(ValueError, match="wanted more cells"):
         random_layout(0, height=3, width=3, region_cells=3)
     with pytest.raises(ValueError, match="each once"):
@@ -101,9 +101,9 @@ def test_a_random_layout_that_cannot_be_is_refused() -> None:
 
 
 @pytest.mark.parametrize("layout", [SMALL, LAYOUTS["corridor"]], ids=lambda layout: layout.name)
-def test_the_table_of_steps_agrees_with_moving_on_the_drawing(layout: Layout) -> None:
+def test_the_transition_table_agrees_with_moves_on_the_drawing(layout: Layout) -> None:
     world, rows = build_world([layout]), layout.drawing.split()
-    state = {tuple(map(int, place)): s for s, place in enumerate(world.position)}
+    state = {tuple(map(int, position)): s for s, position in enumerate(world.position)}
     assert len(state) == len(world) == sum(cell != "#" for row in rows for cell in row)
     for (row, column), s in state.items():
         assert ".RGBY"[world.colour[s]] == rows[row][column]
@@ -111,7 +111,7 @@ def test_the_table_of_steps_agrees_with_moving_on_the_drawing(layout: Layout) ->
             assert world.next_state[s, action] == state.get((row + down, column + right), s)
 
 
-def test_layouts_side_by_side_never_mix_and_start_alike_often() -> None:
+def test_layouts_of_one_world_are_disconnected_and_equally_likely_at_the_start() -> None:
     layouts = [SMALL, LAYOUTS["four"], random_layout(1)]
     world = build_world(layouts)
     assert (world.layout[world.next_state] == world.layout[:, None]).all()
@@ -123,7 +123,7 @@ def test_layouts_side_by_side_never_mix_and_start_alike_often() -> None:
     assert (observations(world)[here] == observations(alone)).all()
 
 
-def test_the_true_reward_pays_for_the_cell_an_agent_stands_on() -> None:
+def test_the_true_reward_depends_on_the_cell_of_the_agent() -> None:
     world = build_world([SMALL])
     #          R  .  .  .  .  .  B  G
     expected = [1, 0, 0, 0, 0, 0, -1, 0]
@@ -132,7 +132,7 @@ def test_the_true_reward_pays_for_the_cell_an_agent_stands_on() -> None:
 
 
 @pytest.mark.parametrize("slip", [0.0, 0.3, 1.0])
-def test_transitions_are_probabilities_and_expect_is_their_mean(slip: float) -> None:
+def test_transitions_are_probabilities_and_expected_value_is_their_mean(slip: float) -> None:
     world = build_world([LAYOUTS["rooms"]], slip)
     table, value = transitions(world), np.random.default_rng(0).normal(size=len(world))
     assert table.sum(axis=2) == pytest.approx(1.0)
@@ -140,21 +140,21 @@ def test_transitions_are_probabilities_and_expect_is_their_mean(slip: float) -> 
     assert expected_value(world, value) == pytest.approx(table @ value)
 
 
-def test_agents_that_slip_go_where_the_transitions_say() -> None:
+def test_slipping_agents_follow_the_transition_probabilities() -> None:
     world, rng = build_world([SMALL], slip=0.5), np.random.default_rng(7)
     agents = 20_000
     for s, a in itertools.product((1, 3), (UP, STAY)):
         after = step(world, np.full(agents, s), np.full(agents, a), rng)
-        seen = np.bincount(after, minlength=len(world)) / agents
-        assert np.abs(seen - transitions(world)[s, a]).max() < 0.02
+        frequency = np.bincount(after, minlength=len(world)) / agents
+        assert np.abs(frequency - transitions(world)[s, a]).max() < 0.02
 
 
-def test_many_agents_step_at_once_and_the_same_way_for_the_same_seed() -> None:
+def test_many_agents_step_at_once_and_the_seed_determines_their_states() -> None:
     world = build_world([SMALL, LAYOUTS["regions"]], slip=0.2)
 
     def play() -> list[list[int]]:
         rng = np.random.default_rng(5)
-        states = [draw_starts(world, 64, rng)]
+        states = [sample_starts(world, 64, rng)]
         for _ in range(10):
             states.append(step(world, states[-1], rng.integers(5, size=64), rng))
         return [list(map(int, now)) for now in states]
@@ -164,18 +164,18 @@ def test_many_agents_step_at_once_and_the_same_way_for_the_same_seed() -> None:
     assert set(world.layout[play()[0]]) == {0, 1}
 
 
-def test_an_observation_shows_place_colour_and_what_lies_around() -> None:
+def test_an_observation_contains_position_colour_and_adjacent_cells() -> None:
     world = build_world([SMALL])
-    seen = observations(world)
-    assert seen.shape == (8, 31)
+    found = observations(world)
+    assert found.shape == (8, 31)
     assert observations(world, neighbours=False).shape == (8, 7)
-    assert list(seen[0, :7]) == [-1, -1, 0, 1, 0, 0, 0]  # upper left, on red
-    around = seen[0, 7:].reshape(4, 6).argmax(axis=1)
-    assert list(around) == [5, 0, 5, 0]  # the edge, white below, the edge, white to the right
-    assert list(seen[6, 7:].reshape(4, 6).argmax(axis=1)) == [0, 5, 0, 2]  # blue: green is to its right
+    assert list(found[0, :7]) == [-1, -1, 0, 1, 0, 0, 0]  # upper left, on red
+    adjacent = found[0, 7:].reshape(4, 6).argmax(axis=1)
+    assert list(adjacent) == [5, 0, 5, 0]  # edge, white below, edge, white to the right
+    assert list(found[6, 7:].reshape(4, 6).argmax(axis=1)) == [0, 5, 0, 2]  # on blue, with green to the right
 
 
-def test_the_tables_of_a_world_cannot_be_written_to() -> None:
+def test_the_tables_of_a_world_are_read_only() -> None:
     world = build_world([SMALL])
     with pytest.raises(ValueError, match="read-only"):
         world.next_state[0, 0] = 3

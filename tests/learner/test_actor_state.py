@@ -1,144 +1,144 @@
-"""What the learner remembers of each actor: over checkpoints, deaths and departures every episode is accounted for."""
+"""Actor state over checkpoints, restarts and departures: every finished episode is trained on, queued or counted."""
 
 from __future__ import annotations
 
 from giirl_core.wire import delivery
 from tests.giirl_core.wire_examples import assert_same_episode, episode
-from tests.learner.admitting import Learner
+from tests.learner.admitting import AdmissionHarness
 
 
-def test_a_checkpoint_brings_back_what_was_held_and_refuses_what_was_judged() -> None:
-    learner = Learner()
-    learner.hello()
+def test_a_snapshot_restores_queued_episodes_and_rejects_acknowledged_ones() -> None:
+    harness = AdmissionHarness()
+    harness.hello()
     for sequence in (0, 1, 3):
-        learner.episode(sequence)
-    learner.seeds(1)
-    held = learner.books.snapshot()
-    resumed = Learner(held=held)
-    assert resumed.episode(1) == "unknown_actor"
+        harness.send_episode(sequence)
+    harness.pull_seeds(1)
+    snapshot = harness.admission.snapshot()
+    resumed = AdmissionHarness(snapshot=snapshot)
+    assert resumed.send_episode(1) == "unknown_actor"
     resumed.hello()
     grant = resumed.grant()
     assert (grant.low_watermark, grant.acked, grant.committed) == (2, (3,), 2)
     for sequence in (0, 1, 2, 3):
-        resumed.episode(sequence)
-    assert resumed.seeds(3) == [1, 3, 2]
+        resumed.send_episode(sequence)
+    assert resumed.pull_seeds(3) == [1, 3, 2]
     assert resumed.dropped("duplicate") == 3
-    assert_same_episode(held.episodes[0], episode(1, seed=1, reward_version=2))
+    assert_same_episode(snapshot.episodes[0], episode(1, seed=1, reward_version=2))
 
 
-def test_only_what_the_checkpoint_holds_is_committed() -> None:
-    learner = Learner()
-    learner.hello()
-    learner.episode(0)
-    held = learner.books.snapshot()
-    learner.episode(1)
-    assert learner.grant().committed == 0
-    learner.books.commit(held)
-    assert learner.grant().committed == 1
-    learner.hello(incarnation=1)
-    learner.books.commit(held)  # of an incarnation that is gone
-    assert learner.grant().committed == 0
+def test_only_episodes_in_the_snapshot_are_committed() -> None:
+    harness = AdmissionHarness()
+    harness.hello()
+    harness.send_episode(0)
+    snapshot = harness.admission.snapshot()
+    harness.send_episode(1)
+    assert harness.grant().committed == 0
+    harness.admission.commit(snapshot)
+    assert harness.grant().committed == 1
+    harness.hello(incarnation=1)
+    harness.admission.commit(snapshot)  # the snapshot is from an earlier incarnation
+    assert harness.grant().committed == 0
 
 
-def test_episodes_an_actor_no_longer_has_and_nobody_saw_are_counted_as_lost() -> None:
-    learner = Learner()
-    learner.hello()
-    learner.episode(1)
-    learner.hello(4)
-    assert learner.dropped("lost") == 3  # 0, 2 and 3
-    assert learner.grant().low_watermark == 4
-    learner.hello(2**40)  # in one stride
-    assert learner.dropped("lost") == 3 + 2**40 - 4
+def test_episodes_the_actor_no_longer_keeps_and_the_learner_never_got_are_counted_as_lost() -> None:
+    harness = AdmissionHarness()
+    harness.hello()
+    harness.send_episode(1)
+    harness.hello(4)
+    assert harness.dropped("lost") == 3  # 0, 2 and 3
+    assert harness.grant().low_watermark == 4
+    harness.hello(2**40)  # must not take time proportional to the gap
+    assert harness.dropped("lost") == 3 + 2**40 - 4
 
 
-def test_what_a_dead_incarnation_had_finished_and_nobody_saw_is_counted_as_lost() -> None:
-    learner = Learner()
-    learner.hello()
-    learner.episode(0)
-    learner.episode(2)
-    learner.hello(incarnation=3, before=((0, 5), (2, 4)))
-    assert learner.dropped("lost") == 3 + 4
-    learner.hello(incarnation=3, before=((0, 5), (2, 4)))  # said again, counted once
-    assert learner.dropped("lost") == 7
+def test_episodes_of_an_earlier_incarnation_that_never_arrived_are_counted_as_lost() -> None:
+    harness = AdmissionHarness()
+    harness.hello()
+    harness.send_episode(0)
+    harness.send_episode(2)
+    harness.hello(incarnation=3, before=((0, 5), (2, 4)))
+    assert harness.dropped("lost") == 3 + 4
+    harness.hello(incarnation=3, before=((0, 5), (2, 4)))  # repeated, but counted once
+    assert harness.dropped("lost") == 7
 
 
-def test_without_its_successors_word_the_last_of_its_own_counts() -> None:
-    learner = Learner()
-    learner.hello(finished=6)
-    learner.episode(0)
-    learner.hello(incarnation=1)
-    assert learner.dropped("lost") == 5
+def test_without_a_count_from_its_successor_the_last_notice_of_an_incarnation_is_used() -> None:
+    harness = AdmissionHarness()
+    harness.hello(finished=6)
+    harness.send_episode(0)
+    harness.hello(incarnation=1)
+    assert harness.dropped("lost") == 5
 
 
-def test_an_actor_that_says_good_bye_leaves_nothing_unaccounted() -> None:
-    learner = Learner()
-    learner.hello()
-    learner.episode(1)
-    learner.notice(delivery.BYE, finished=4)
-    assert learner.dropped("lost") == 3
-    assert learner.books.silent_for_s("a") == float("inf")
-    learner.hello(incarnation=1, before=((0, 4),))
-    assert learner.dropped("lost") == 3
+def test_after_a_bye_every_missing_episode_is_counted_as_lost() -> None:
+    harness = AdmissionHarness()
+    harness.hello()
+    harness.send_episode(1)
+    harness.notice(delivery.BYE, finished=4)
+    assert harness.dropped("lost") == 3
+    assert harness.admission.silent_for_s("a") == float("inf")
+    harness.hello(incarnation=1, before=((0, 4),))
+    assert harness.dropped("lost") == 3
 
 
-def test_what_was_counted_since_a_checkpoint_is_counted_again_by_who_goes_back_to_it() -> None:
-    learner = Learner()
-    learner.hello()
-    learner.episode(0)
-    held = learner.books.snapshot()
-    learner.hello(incarnation=1, before=((0, 3),))
-    assert learner.books.snapshot().counts == {"lost": 2}
-    resumed = Learner(held=held)
+def test_losses_counted_after_a_checkpoint_are_counted_again_by_a_learner_that_resumes_from_it() -> None:
+    harness = AdmissionHarness()
+    harness.hello()
+    harness.send_episode(0)
+    snapshot = harness.admission.snapshot()
+    harness.hello(incarnation=1, before=((0, 3),))
+    assert harness.admission.snapshot().counts == {"lost": 2}
+    resumed = AdmissionHarness(snapshot=snapshot)
     resumed.hello(incarnation=2, before=((0, 3), (1, 1)))
-    assert resumed.books.snapshot().counts == {"lost": 3}
-    assert resumed.grant().settled == 0  # both may be asked for again
-    resumed.books.commit(resumed.books.snapshot())
+    assert resumed.admission.snapshot().counts == {"lost": 3}
+    assert resumed.grant().settled == 0  # actors must keep both counts
+    resumed.admission.commit(resumed.admission.snapshot())
     assert resumed.grant().settled == 2
 
 
-def test_an_actor_that_keeps_too_much_asks_for_a_checkpoint_that_frees_it() -> None:
-    learner = Learner()
-    learner.hello(full=True)
-    assert not learner.books.wants_commit  # none would help
-    learner.episode(0)
-    learner.notice(delivery.HEARTBEAT, full=True, finished=1)
-    assert learner.books.wants_commit
-    learner.books.commit(learner.books.snapshot())
-    assert not learner.books.wants_commit
+def test_an_actor_with_a_full_buffer_asks_for_a_checkpoint_that_frees_it() -> None:
+    harness = AdmissionHarness()
+    harness.hello(full=True)
+    assert not harness.admission.wants_commit  # a checkpoint would free nothing
+    harness.send_episode(0)
+    harness.notice(delivery.HEARTBEAT, full=True, finished=1)
+    assert harness.admission.wants_commit
+    harness.admission.commit(harness.admission.snapshot())
+    assert not harness.admission.wants_commit
 
 
-def test_an_actor_that_is_gone_for_good_leaves_nothing_unaccounted_and_may_be_replaced() -> None:
-    learner = Learner()
-    learner.hello(finished=4)
-    learner.episode(0)
-    learner.books.retire("a", ((0, 5),))  # by its own count; the learner knew of four
-    assert learner.dropped("lost") == 4
-    learner.books.retire("a", ((0, 5),))
-    assert learner.dropped("lost") == 4  # once
-    assert learner.seeds(1) == [0]  # what had come is used
-    learner.hello(incarnation=1, before=((0, 5),))
-    assert learner.dropped("lost") == 4
-    learner.episode(0, incarnation=1)
-    assert learner.seeds(1) == [0]
+def test_episodes_of_a_retired_actor_are_counted_as_lost_and_it_may_be_replaced() -> None:
+    harness = AdmissionHarness()
+    harness.hello(finished=4)
+    harness.send_episode(0)
+    harness.admission.retire("a", ((0, 5),))  # the actor counted 5, the learner knew of 4
+    assert harness.dropped("lost") == 4
+    harness.admission.retire("a", ((0, 5),))
+    assert harness.dropped("lost") == 4  # not counted twice
+    assert harness.pull_seeds(1) == [0]  # episodes that arrived are still used
+    harness.hello(incarnation=1, before=((0, 5),))
+    assert harness.dropped("lost") == 4
+    harness.send_episode(0, incarnation=1)
+    assert harness.pull_seeds(1) == [0]
 
 
-def test_of_an_actor_that_was_never_heard_its_own_count_is_lost() -> None:
-    learner = Learner()
-    learner.books.retire("a", ())
-    assert learner.books.snapshot().marks == ()
-    learner.books.retire("a", ((3, 2), (4, 1)))
-    assert learner.dropped("lost") == 3
-    (mark,) = learner.books.snapshot().marks
-    assert (mark.incarnation, mark.low_watermark, mark.finished) == (4, 1, 1)
+def test_all_episodes_of_a_retired_actor_that_never_connected_are_counted_as_lost() -> None:
+    harness = AdmissionHarness()
+    harness.admission.retire("a", ())
+    assert harness.admission.snapshot().offsets == ()
+    harness.admission.retire("a", ((3, 2), (4, 1)))
+    assert harness.dropped("lost") == 3
+    (offsets,) = harness.admission.snapshot().offsets
+    assert (offsets.incarnation, offsets.low_watermark, offsets.finished) == (4, 1, 1)
 
 
-def test_one_that_comes_back_from_the_grave_has_nothing_trained_on_twice() -> None:
-    learner = Learner()
-    learner.hello(finished=2)
-    learner.books.retire("a", ((0, 2),))
-    assert learner.episode(1) == "unknown_actor"
-    learner.hello(finished=2)
-    assert learner.grant().low_watermark == 2
-    learner.episode(1)
-    assert learner.dropped("duplicate") == 1
-    assert learner.dropped("lost") == 2
+def test_a_retired_actor_that_reconnects_has_no_episode_trained_on_twice() -> None:
+    harness = AdmissionHarness()
+    harness.hello(finished=2)
+    harness.admission.retire("a", ((0, 2),))
+    assert harness.send_episode(1) == "unknown_actor"
+    harness.hello(finished=2)
+    assert harness.grant().low_watermark == 2
+    harness.send_episode(1)
+    assert harness.dropped("duplicate") == 1
+    assert harness.dropped("lost") == 2

@@ -1,4 +1,4 @@
-"""Checkpoints are whole or not there, and what is wrong with one is said in a line that tells how to go on."""
+"""Checkpoints are atomic, and a damaged one is reported in one line that says how to resume all the same."""
 
 from __future__ import annotations
 
@@ -32,14 +32,16 @@ def test_the_latest_checkpoint_is_the_last_one_saved(tmp_path: Path) -> None:
     assert (latest_checkpoint(tmp_path) / "net.safetensors").read_bytes() == BLOB
 
 
-def test_only_the_newest_are_kept(tmp_path: Path) -> None:
+def test_only_the_newest_checkpoints_are_kept(tmp_path: Path) -> None:
     for step in range(1, 7):
         save(tmp_path, step, keep=2)
     assert steps(tmp_path) == [LATEST, "step-00000005", "step-00000006"]
 
 
 @pytest.mark.parametrize("keep", [1, 2])
-def test_after_going_back_the_new_checkpoint_outlives_the_later_ones(keep: int, tmp_path: Path) -> None:
+def test_after_resuming_from_an_earlier_step_the_new_checkpoint_outlives_the_later_ones(
+    keep: int, tmp_path: Path
+) -> None:
     for step in (10, 20, 30):
         save(tmp_path, step)
     (tmp_path / LATEST).write_text("step-00000010")
@@ -48,33 +50,33 @@ def test_after_going_back_the_new_checkpoint_outlives_the_later_ones(keep: int, 
     assert len(steps(tmp_path)) == 1 + keep
 
 
-def test_a_step_saved_again_replaces_the_first(tmp_path: Path) -> None:
+def test_a_step_saved_again_replaces_the_first_save(tmp_path: Path) -> None:
     save(tmp_path, 4, blob=b"old")
     save(tmp_path, 4, blob=b"new")
     assert (latest_checkpoint(tmp_path) / "net.safetensors").read_bytes() == b"new"
 
 
-def test_a_step_saved_twice_is_never_without_a_whole_checkpoint(
+def test_there_is_a_complete_checkpoint_at_every_moment_while_a_step_is_saved_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = save(tmp_path, 4)
-    rename, seen = Path.rename, []
+    rename, latest = Path.rename, []
 
-    def watched(self: Path, target: Path) -> Path:
-        seen.append(latest_checkpoint(tmp_path))
+    def recorded(self: Path, target: Path) -> Path:
+        latest.append(latest_checkpoint(tmp_path))
         renamed = rename(self, target)
-        seen.append(latest_checkpoint(tmp_path))
+        latest.append(latest_checkpoint(tmp_path))
         return renamed
 
-    monkeypatch.setattr(Path, "rename", watched)
+    monkeypatch.setattr(Path, "rename", recorded)
     second = save(tmp_path, 4)
-    assert set(seen) == {first}
+    assert set(latest) == {first}
     assert save(tmp_path, 4) == first != second
     assert latest_checkpoint(tmp_path) == first
 
 
 @pytest.mark.parametrize("step", [1, 2])
-def test_a_crash_while_writing_leaves_the_older_one_the_latest(step: int, tmp_path: Path) -> None:
+def test_a_crash_while_writing_leaves_the_older_checkpoint_the_latest(step: int, tmp_path: Path) -> None:
     older = save(tmp_path, 1)
 
     def crash(partial: Path) -> None:
@@ -88,85 +90,85 @@ def test_a_crash_while_writing_leaves_the_older_one_the_latest(step: int, tmp_pa
     assert steps(tmp_path) == [LATEST, "step-00000001", "step-00000002"]
 
 
-def truncate(found: Path) -> None:
+def truncate_file(found: Path) -> None:
     (found / "net.safetensors").write_bytes(BLOB[:100])
 
 
-def flip(found: Path) -> None:
+def flip_bit(found: Path) -> None:
     (found / "net.safetensors").write_bytes(bytes([BLOB[0] ^ 1]) + BLOB[1:])
 
 
-def remove(found: Path) -> None:
+def remove_file(found: Path) -> None:
     (found / "net.safetensors").unlink()
 
 
-def garble(found: Path) -> None:
+def write_invalid_json(found: Path) -> None:
     (found / MANIFEST).write_bytes(b"\xff\x00 no json")
 
 
-def empty(found: Path) -> None:
+def write_empty_manifest(found: Path) -> None:
     (found / MANIFEST).write_text("[]")
 
 
-def rebuild(found: Path) -> None:
+def write_list_of_hashes(found: Path) -> None:
     (found / MANIFEST).write_text(json.dumps({"sha256": ["net.safetensors"]}))
 
 
-def unlist(found: Path) -> None:
+def remove_manifest(found: Path) -> None:
     (found / MANIFEST).unlink()
 
 
-def lead_nowhere(found: Path) -> None:
+def point_to_missing_folder(found: Path) -> None:
     (found.parent / LATEST).write_text("step-00000009")
 
 
-def lead_out(found: Path) -> None:
+def point_outside(found: Path) -> None:
     (found.parent / LATEST).write_text("../elsewhere")
 
 
-def lead_home(found: Path) -> None:
+def point_to_nothing(found: Path) -> None:
     (found.parent / LATEST).write_text("")
 
 
 @pytest.mark.parametrize(
-    ("harm", "named"),
+    ("damage", "named"),
     [
-        (truncate, "net.safetensors, now 100 bytes"),
-        (flip, "net.safetensors, now 200 bytes"),
-        (remove, "net.safetensors is missing"),
-        (garble, MANIFEST),
-        (empty, MANIFEST),
-        (rebuild, MANIFEST),
-        (unlist, "step-00000002"),
-        (lead_nowhere, "step-00000009"),
-        (lead_out, "elsewhere"),
-        (lead_home, LATEST),
+        (truncate_file, r"net.safetensors \(100 bytes\)"),
+        (flip_bit, r"net.safetensors \(200 bytes\)"),
+        (remove_file, "net.safetensors is missing"),
+        (write_invalid_json, MANIFEST),
+        (write_empty_manifest, MANIFEST),
+        (write_list_of_hashes, MANIFEST),
+        (remove_manifest, "step-00000002"),
+        (point_to_missing_folder, "step-00000009"),
+        (point_outside, "elsewhere"),
+        (point_to_nothing, LATEST),
     ],
 )
-def test_a_spoiled_checkpoint_is_one_line_that_says_what_and_how_to_mend_it(
-    harm: Callable[[Path], None], named: str, tmp_path: Path
+def test_a_damaged_checkpoint_is_reported_in_one_line_that_says_what_is_wrong_and_how_to_resume(
+    damage: Callable[[Path], None], named: str, tmp_path: Path
 ) -> None:
     save(tmp_path, 1)
-    harm(save(tmp_path, 2))
+    damage(save(tmp_path, 2))
     with pytest.raises(ValueError, match=named) as caught:
         latest_checkpoint(tmp_path)
-    said = str(caught.value)
-    assert "\n" not in said
-    assert str(tmp_path) in said
-    assert f"into {tmp_path / LATEST}" in said
-    name = said.partition("write ")[2].split()[0]
-    (tmp_path / LATEST).write_text(name)  # as it says
-    if harm not in (lead_nowhere, lead_out, lead_home):
+    message = str(caught.value)
+    assert "\n" not in message
+    assert str(tmp_path) in message
+    assert f"into {tmp_path / LATEST}" in message
+    name = message.partition("write ")[2].split()[0]
+    (tmp_path / LATEST).write_text(name)  # as the message says
+    if damage not in (point_to_missing_folder, point_outside, point_to_nothing):
         assert name == "step-00000001"
     assert latest_checkpoint(tmp_path) == tmp_path / name
 
 
-def test_a_spoiled_checkpoint_without_an_older_one_says_so(tmp_path: Path) -> None:
-    flip(save(tmp_path, 1))
-    with pytest.raises(ValueError, match="there is no older one"):
+def test_the_error_for_a_damaged_checkpoint_says_when_there_is_no_older_one(tmp_path: Path) -> None:
+    flip_bit(save(tmp_path, 1))
+    with pytest.raises(ValueError, match="there is no older checkpoint"):
         latest_checkpoint(tmp_path)
 
 
-def test_an_empty_folder_holds_no_checkpoint(tmp_path: Path) -> None:
+def test_resuming_from_an_empty_folder_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="holds no checkpoint to resume from"):
         latest_checkpoint(tmp_path)

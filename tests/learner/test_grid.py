@@ -1,4 +1,4 @@
-"""GIIRL in LanguageGridCraft: its equations, its samples, and Algorithm 1's own loop on a small grid."""
+"""GIIRL in LanguageGridCraft: equations, sampling, and the loop of Algorithm 1 on a small grid."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def with_discriminator(**changes: Any) -> Config:
     return dataclasses.replace(SMALL, discriminator=dataclasses.replace(SMALL.discriminator, **changes))
 
 
-def test_the_soft_target_is_the_formula_written_naively() -> None:
+def test_the_soft_target_matches_the_naive_formula() -> None:
     reward, q = torch.tensor([0.5, -0.25]), torch.tensor([[0.1, 0.3, -0.2], [0.0, 0.0, 1.0]])
     got = soft_target(reward, q, 0.9, 0.2)
     for i in range(2):
@@ -54,7 +54,7 @@ def test_the_soft_target_is_the_formula_written_naively() -> None:
         assert got[i].item() == pytest.approx(reward[i].item() + 0.9 * soft_max, rel=1e-5)
 
 
-def test_algorithm_1s_own_loop_runs_in_the_grid_and_tells_what_it_learned() -> None:
+def test_the_loop_of_algorithm_1_runs_in_the_grid_and_reports_its_statistics() -> None:
     run = learn(SMALL)
     assert [point["step"] for point in run.curve] == [1, 2, 3]
     assert run.env_steps == (10 + 3 * 4) * HORIZON
@@ -62,7 +62,7 @@ def test_algorithm_1s_own_loop_runs_in_the_grid_and_tells_what_it_learned() -> N
     assert len(run.curve[-1]["returns"]) == len(PAIRS) == 6
 
 
-def test_the_seed_fixes_every_number_and_another_seed_changes_them() -> None:
+def test_the_seed_determines_every_number() -> None:
     one, same, other = (learn(dataclasses.replace(SMALL, seed=seed)) for seed in (100, 100, 101))
     assert one.curve == same.curve
     hashes = [hash_nets(*run.learner.nets().values()) for run in (one, same, other)]
@@ -97,17 +97,17 @@ def plain() -> str:
         "sentences",
         "d",
         "log_d",
-        "demo states",
+        "policy on expert states",
         "rename",
         "plain",
         "cloning",
     ],
 )
-def test_every_option_of_the_study_changes_what_is_learned(plain: str, config: Config) -> None:
+def test_every_setting_of_the_ablations_changes_the_trained_networks(plain: str, config: Config) -> None:
     assert hash_nets(*learn(config).learner.nets().values()) != plain
 
 
-def test_demonstrations_stand_on_the_goal_in_the_end_and_never_on_what_is_avoided() -> None:
+def test_demonstrations_end_on_the_goal_and_never_enter_the_avoided_colour() -> None:
     rng = np.random.default_rng(0)
     steps = expert_steps(WORLD, [Pair("red", "blue")], [[4]], 20, 0.05, rng, None)
     states = steps.state.reshape(20, HORIZON)
@@ -117,34 +117,34 @@ def test_demonstrations_stand_on_the_goal_in_the_end_and_never_on_what_is_avoide
     assert set(steps.goal.tolist()) == {4}
 
 
-def test_an_absorbing_episode_ends_in_a_state_that_it_does_not_leave() -> None:
-    end = len(WORLD)
-    steps = expert_steps(WORLD, [Pair("red", "blue")], [[0]], 3, 0.1, np.random.default_rng(0), end)
+def test_an_absorbing_episode_ends_in_the_end_state() -> None:
+    end_state = len(WORLD)
+    steps = expert_steps(WORLD, [Pair("red", "blue")], [[0]], 3, 0.1, np.random.default_rng(0), end_state)
     states, following = (x.reshape(3, HORIZON + 1) for x in (steps.state, steps.following))
-    assert (following[:, -2:] == end).all()
-    assert (states[:, -1] == end).all()
-    assert (states[:, :-1] < end).all()
+    assert (following[:, -2:] == end_state).all()
+    assert (states[:, -1] == end_state).all()
+    assert (states[:, :-1] < end_state).all()
 
 
-def test_a_wrong_goal_keeps_the_step_and_is_one_whose_experts_never_stand_there() -> None:
+def test_wrong_goals_keep_the_step_and_avoid_states_that_their_expert_visits() -> None:
     learner = GridLearner(with_grid(sentences="all"), WORLD, PAIRS)
     expert = learner.demos.sample(50)
     wrong = learner.demos.wrong_goals(expert)
     assert 0 < len(wrong) < len(expert)
-    every = learner.demos.steps
-    shown = set(zip(every.state, every.action, every.following, strict=True))
-    assert shown >= set(zip(wrong.state, wrong.action, wrong.following, strict=True))
-    stood = set(zip(learner.meaning[every.goal], every.state, strict=True))
-    assert not stood & set(zip(learner.meaning[wrong.goal], wrong.state, strict=True))
+    demos = learner.demos.steps
+    transitions = set(zip(demos.state, demos.action, demos.following, strict=True))
+    assert transitions >= set(zip(wrong.state, wrong.action, wrong.following, strict=True))
+    visited = set(zip(learner.pair_index[demos.goal], demos.state, strict=True))
+    assert not visited & set(zip(learner.pair_index[wrong.goal], wrong.state, strict=True))
 
 
-def test_where_only_one_thing_is_ever_meant_there_are_no_wrong_goals() -> None:
+def test_a_single_pair_of_colours_has_no_wrong_goals() -> None:
     steps = expert_steps(WORLD, [Pair("red", "blue")], [[0]], 2, 0.1, np.random.default_rng(0), None)
     demos = GridDemos(steps, HORIZON, np.array([0]), np.array([0]), np.random.default_rng(0))
     assert len(demos.wrong_goals(steps)) == 0
 
 
-def test_samples_of_demonstrations_are_whole_episodes() -> None:
+def test_demonstrations_are_sampled_as_whole_episodes() -> None:
     learner = GridLearner(SMALL, WORLD, PAIRS)
     steps = learner.demos.sample(7)
     states, following = (x.reshape(7, HORIZON) for x in (steps.state, steps.following))
@@ -152,103 +152,104 @@ def test_samples_of_demonstrations_are_whole_episodes() -> None:
     assert (steps.goal.reshape(7, HORIZON) == steps.goal[::HORIZON, None]).all()
 
 
-def test_a_frozen_reward_is_enough_for_a_fresh_soft_q_learner() -> None:
+def test_a_fresh_soft_q_learner_learns_from_a_frozen_reward() -> None:
     config = dataclasses.replace(
         SMALL, policy=dataclasses.replace(SMALL.policy, updates=400), grid=GridConfig(goals=("red-blue",))
     )
     world, pair = WORLD, Pair("red", "blue")
     learner = GridLearner(config, world, [pair])
     true = true_reward(world, pair)
-    frozen = torch.tensor(solve(world, true, temperature=0.0).q * 0.1, dtype=torch.float32)  # shaped already
+    frozen = torch.tensor(solve(world, true, temperature=0.0).q * 0.1, dtype=torch.float32)  # already shaped
 
     def reward_fn(steps: Steps) -> torch.Tensor:
         return frozen[steps.state, steps.action]
 
     rollouts = learner.demos.sample(4)
     learner.policy.update(rollouts, reward_fn(rollouts), reward_fn)
-    got = policy_table(learner.policy.net, learner.sight, 0)
+    got = policy_table(learner.policy.net, learner.features, 0)
     assert normalized_return(world, got, true) > 0.9 > normalized_return(world, random_policy(world), true)
 
 
-def test_the_discriminator_learns_to_pay_the_expert_more_than_chance() -> None:
+def test_the_discriminator_rewards_the_expert_more_than_the_random_policy() -> None:
     config = with_discriminator(updates=150, learning_rate=3e-3)
     learner = GridLearner(config, WORLD, PAIRS)
     expert = learner.demos.sample(30)
-    chance = learner.discriminator._chance
-    learner.discriminator.update(expert, chance, learner.policy.net)
+    random = learner.discriminator._random
+    learner.discriminator.update(expert, random, learner.policy.net)
     reward_fn = learner.discriminator.reward_fn
-    assert reward_fn(expert).mean() > 0.5 > -0.5 > reward_fn(chance).mean()
+    assert reward_fn(expert).mean() > 0.5 > -0.5 > reward_fn(random).mean()
 
 
-def test_tables_are_what_the_nets_say_state_by_state() -> None:
+def test_tables_match_the_network_outputs_of_each_state() -> None:
     learner = GridLearner(SMALL, WORLD, PAIRS)
-    table = reward_table(learner.discriminator.net, learner.sight, 2, "logit", 8.0)
-    pi = policy_table(learner.policy.net, learner.sight, 2)
+    table = reward_table(learner.discriminator.net, learner.features, 2, "logit", 8.0)
+    pi = policy_table(learner.policy.net, learner.features, 2)
     for state, action in ((0, 0), (17, 3), (len(WORLD) - 1, 4)):
-        where, what = np.array([state]), np.array([action])
-        seen = learner.sight(where, np.array([2]))
-        assert table[state, action] == pytest.approx(learner.discriminator.net(seen, one_hot(what)).item(), abs=1e-5)
-        assert np.log(pi[state]) == pytest.approx(
-            learner.policy.net.log_policy(learner.sight.wide(where, np.array([2])))[0].tolist(), abs=1e-4
-        )
+        states, actions, goal = np.array([state]), np.array([action]), np.array([2])
+        logit = learner.discriminator.net(learner.features.reward_inputs(states, goal), one_hot(actions))
+        logp = learner.policy.net.log_policy(learner.features.policy_inputs(states, goal))
+        assert table[state, action] == pytest.approx(logit.item(), abs=1e-5)
+        assert np.log(pi[state]) == pytest.approx(logp[0].tolist(), abs=1e-4)
     assert pi.shape == (len(WORLD), len(ACTIONS))
 
 
-def test_airls_reward_leaves_the_shaping_out_and_its_logit_does_not() -> None:
+def test_the_airl_reward_leaves_out_the_shaping_terms() -> None:
     learner = GridLearner(with_discriminator(form="airl"), WORLD, PAIRS)
     steps, d = learner.demos.sample(1), learner.discriminator
-    seen = learner.sight(steps.state, steps.goal)
-    got = d._shaping(steps, seen, learner.policy.net)
-    h, after = d.potential(seen), d.potential(learner.sight(steps.following, steps.goal))
-    logp = learner.policy.net.log_policy(learner.sight.wide(steps.state, steps.goal))
+    inputs = learner.features.reward_inputs(steps.state, steps.goal)
+    following = learner.features.reward_inputs(steps.following, steps.goal)
+    got = d._shaping(steps, inputs, learner.policy.net)
+    h, h_next = d.potential(inputs), d.potential(following)
+    logp = learner.policy.net.log_policy(learner.features.policy_inputs(steps.state, steps.goal))
     for i in range(len(steps)):
-        assert got[i].item() == pytest.approx((0.95 * after[i] - h[i] - logp[i, steps.action[i]]).item(), abs=1e-5)
-    assert torch.equal(d.reward_fn(steps), d.net(seen, one_hot(steps.action)).clamp(-8, 8))
+        assert got[i].item() == pytest.approx((0.95 * h_next[i] - h[i] - logp[i, steps.action[i]]).item(), abs=1e-5)
+    assert torch.equal(d.reward_fn(steps), d.net(inputs, one_hot(steps.action)).clamp(-8, 8))
 
 
-def test_sentences_are_told_apart_by_the_order_of_their_words_only_in_pairs_of_words() -> None:
+def test_goal_features_depend_on_word_order_only_with_bigrams() -> None:
     texts = ["Go to Red. Avoid Blue.", "Go to Blue. Avoid Red."]
-    for order, alike in ((1, True), (2, False)):
+    for order, equal in ((1, True), (2, False)):
         learner = GridLearner(with_grid(order=order), WORLD, PAIRS)
         goals = GridFeatures(WORLD, texts, learner.bag, learner.config.grid).goals
-        assert torch.equal(goals[0], goals[1]) == alike
+        assert torch.equal(goals[0], goals[1]) == equal
 
 
-def test_renamed_colours_are_another_layout_of_the_same_shape_with_the_sentence_to_match() -> None:
+def test_permuted_colours_give_the_layout_and_the_sentences_with_swapped_colours() -> None:
     config = with_grid(neighbours=True)
-    sight = GridLearner(config, WORLD, PAIRS).sight
-    states, goals = sight.renamings
-    assert torch.equal(states[0], sight.states)
-    assert torch.equal(goals[0], sight.goals)
+    features = GridLearner(config, WORLD, PAIRS).features
+    states, goals = features.colour_permutations
+    assert torch.equal(states[0], features.states)
+    assert torch.equal(goals[0], features.goals)
     order = list(itertools.permutations(("red", "green", "blue")))
     swap = order.index(("green", "red", "blue"))
     cells = WORLD.layouts[0].cells
     other = build_world([Layout(name="swapped", cells=np.array([0, 2, 1, 3], dtype=np.int8)[cells])])
     assert torch.equal(states[swap][:-1], torch.tensor(observations(other)))
-    there = [
+    swapped = [
         PAIRS.index(Pair(*("red" if c == "green" else "green" if c == "red" else c for c in pair)))
         for pair in ((p.goal, p.avoid) for p in PAIRS)
     ]
-    assert torch.equal(goals[swap], sight.goals[there])
+    assert torch.equal(goals[swap], features.goals[swapped])
 
 
-def test_a_discriminator_that_renames_shows_the_net_the_same_steps_in_other_colours() -> None:
+def test_renaming_gives_the_discriminator_the_same_steps_in_other_colours() -> None:
     learner = GridLearner(with_discriminator(rename_prob=1.0), WORLD, PAIRS)
     steps = learner.demos.sample(20)
-    plain, seen = learner.sight(steps.state, steps.goal), learner.discriminator._see(steps)
-    assert seen.shape == plain.shape
-    assert not torch.equal(seen, plain)
-    assert torch.allclose(seen.sum(dim=1), plain.sum(dim=1))
+    plain = learner.features.reward_inputs(steps.state, steps.goal)
+    renamed = learner.discriminator._renamed_inputs(steps)
+    assert renamed.shape == plain.shape
+    assert not torch.equal(renamed, plain)
+    assert torch.allclose(renamed.sum(dim=1), plain.sum(dim=1))
 
 
-def test_q_learning_asks_for_the_reward_of_a_step_under_every_sentence() -> None:
+def test_q_learning_relabels_steps_with_every_sentence() -> None:
     learner = GridLearner(SMALL, WORLD, PAIRS)
-    asked: list[Steps] = []
+    scored: list[Steps] = []
 
     def reward_fn(steps: Steps) -> torch.Tensor:
-        asked.append(steps)
+        scored.append(steps)
         return torch.zeros(len(steps))
 
-    rollouts = learner.demos.sample(4).under(np.zeros(4 * HORIZON, dtype=np.int64))
+    rollouts = learner.demos.sample(4).with_goals(np.zeros(4 * HORIZON, dtype=np.int64))
     learner.policy.update(rollouts, torch.zeros(len(rollouts)), reward_fn)
-    assert set(asked[0].goal.tolist()) == set(range(len(PAIRS)))
+    assert set(scored[0].goal.tolist()) == set(range(len(PAIRS)))

@@ -1,4 +1,4 @@
-"""A reward service that runs beside a test, and patience with it."""
+"""A reward service that runs in a thread during a test, and functions that wait with a timeout."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Rewards = NDArray[np.float32]
 
 
 def load(weights: Weights) -> Scorer:
-    """A reward that is the number in the blob, for every step."""
+    """The reward of every step is the number in the blob."""
     if not weights.blob.isdigit():
         raise ValueError(f"{weights.blob!r} is no number")
     number = float(weights.blob)
@@ -40,6 +40,7 @@ def trajectory(steps: int = 2) -> Trajectory:
 
 @contextmanager
 def serving(service: RewardService) -> Iterator[RewardService]:
+    """The service, while it serves in a thread."""
     stop = threading.Event()
     thread = threading.Thread(target=service.serve, args=(stop.is_set,))
     thread.start()
@@ -52,30 +53,32 @@ def serving(service: RewardService) -> Iterator[RewardService]:
 
 
 def counted(metrics: Metrics, result: str) -> float:
+    """The number of score requests with this result."""
     return metrics.registry.get_sample_value("giirl_scoring_requests_total", {"result": result}) or 0.0
 
 
-def settled(client: ScoreClient, wanted: int = 1) -> list[tuple[object, Rewards | None, int]]:
+def poll_results(client: ScoreClient, count: int = 1) -> list[tuple[object, Rewards | None, int]]:
+    """Poll until there are `count` results: (key, rewards, version)."""
     found: list[tuple[object, Rewards | None, int]] = []
     deadline_s = time.monotonic() + WAIT_S
-    while len(found) < wanted and time.monotonic() < deadline_s:
+    while len(found) < count and time.monotonic() < deadline_s:
         found += client.poll()
         time.sleep(0.002)
     return found
 
 
-def asked(client: ScoreClient, router: Router) -> tuple[bytes, int]:
-    """Who asked the router, which stands in for a replica, and the number of the question."""
+def receive_request(client: ScoreClient, router: Router) -> tuple[bytes, int]:
+    """Wait for a request at a router that stands in for a replica; returns the peer and the request number."""
     peer, message = until(lambda: router.recv(0.0) if not client.poll() else None)
     return peer, scoring.read_request(wire.decode(message)[0])
 
 
-def until(condition: Callable[[], T | None], *lines: Uplink) -> T:
-    """What it gives once it is something; meanwhile actors go on."""
+def until(condition: Callable[[], T | None], *uplinks: Uplink) -> T:
+    """Wait until `condition` returns something true, and return it. Meanwhile the uplinks are polled."""
     deadline_s = time.monotonic() + WAIT_S
-    while not (found := condition()):
-        for line in lines:
-            line.poll()
+    while not (result := condition()):
+        for uplink in uplinks:
+            uplink.poll()
         assert time.monotonic() < deadline_s
         time.sleep(0.002)
-    return found
+    return result

@@ -1,4 +1,4 @@
-"""Asking the reward service over real sockets: answers, retries, and when asking is given up."""
+"""The score client over real sockets: replies, retries, and when it gives up."""
 
 from __future__ import annotations
 
@@ -17,10 +17,19 @@ from giirl_core.wire.scoring import ScoreReply
 from giirl_core.wire.transport import Router
 from reward_service.service import RewardService, Scorer, ServiceLimits
 from tests.giirl_core.wire_examples import assert_same_trajectory
-from tests.reward_service.serving import WAIT_S, Rewards, asked, load, serving, settled, trajectory, until
+from tests.reward_service.serving import (
+    WAIT_S,
+    Rewards,
+    load,
+    poll_results,
+    receive_request,
+    serving,
+    trajectory,
+    until,
+)
 
 
-def test_rewards_come_back_with_the_version_that_gave_them() -> None:
+def test_rewards_come_with_the_version_of_the_reward() -> None:
     with serving(RewardService(load)) as service:
         service.set_weights(Weights.seal(4, b"7"))
         with closing(ScoreClient([service.address], identity="a")) as client:
@@ -29,23 +38,23 @@ def test_rewards_come_back_with_the_version_that_gave_them() -> None:
             assert version == 4
 
 
-def test_a_client_that_goes_on_meanwhile_gets_each_answer_under_its_own_key() -> None:
+def test_each_submitted_request_gets_its_result_under_its_own_key() -> None:
     with serving(RewardService(load)) as service:
         service.set_weights(Weights.seal(0, b"1"))
         with closing(ScoreClient([service.address], identity="a")) as client:
             for steps in range(1, 20):
                 client.submit(("episode", steps), trajectory(steps))
-            answers = settled(client, 19)
-            assert {key: len(r) for key, r, _ in answers if r is not None} == {("episode", n): n for n in range(1, 20)}
+            results = poll_results(client, 19)
+            assert {key: len(r) for key, r, _ in results if r is not None} == {("episode", n): n for n in range(1, 20)}
             assert client.pending == 0
 
 
-def test_the_scorer_sees_what_was_asked_about() -> None:
-    seen: list[Trajectory] = []
+def test_the_scorer_gets_the_submitted_trajectory() -> None:
+    scored: list[Trajectory] = []
 
     def load_spy(_: Weights) -> Scorer:
         def score(trajectories: Sequence[Trajectory]) -> list[Rewards]:
-            seen.extend(trajectories)
+            scored.extend(trajectories)
             return [np.zeros(len(t), np.float32) for t in trajectories]
 
         return score
@@ -54,21 +63,21 @@ def test_the_scorer_sees_what_was_asked_about() -> None:
         service.set_weights(Weights.seal(0, b""))
         with closing(ScoreClient([service.address], identity="a")) as client:
             client.score([trajectory(3)])
-    assert_same_trajectory(seen[0], trajectory(3))
+    assert_same_trajectory(scored[0], trajectory(3))
 
 
-def test_an_overloaded_service_is_asked_again() -> None:
+def test_a_request_to_an_overloaded_service_is_sent_again() -> None:
     limits = ServiceLimits(max_queue=1, max_batch_steps=1)
     with serving(RewardService(load, limits=limits)) as service:
         service.set_weights(Weights.seal(0, b"1"))
         with closing(ScoreClient([service.address], identity="a", timeout_s=WAIT_S)) as client:
             for key in range(20):
                 client.submit(key, trajectory(1))
-            answers = settled(client, 20)
-    assert {key for key, rewards, _ in answers if rewards is not None} == set(range(20))
+            results = poll_results(client, 20)
+    assert {key for key, rewards, _ in results if rewards is not None} == set(range(20))
 
 
-def test_a_service_started_anew_on_its_port_answers_what_the_old_one_did_not() -> None:
+def test_a_service_restarted_on_the_same_port_replies_to_pending_requests() -> None:
     first = RewardService(load)
     port = int(first.address.rpartition(":")[2])
     with closing(ScoreClient([first.address], identity="a", timeout_s=0.3, retries=60)) as client:
@@ -80,106 +89,106 @@ def test_a_service_started_anew_on_its_port_answers_what_the_old_one_did_not() -
         second = RewardService(load, port=port)
         second.set_weights(Weights.seal(1, b"2"))
         with serving(second):
-            ((key, rewards, version),) = settled(client)
+            ((key, rewards, version),) = poll_results(client)
     assert (key, version) == ("k", 1)
     assert rewards is not None
     assert rewards.tolist() == [2.0]
 
 
-def test_a_client_gives_up_on_a_service_that_is_not_there() -> None:
+def test_a_request_fails_if_there_is_no_service() -> None:
     with closing(ScoreClient(["127.0.0.1:1"], identity="a", timeout_s=0.02, retries=1)) as client:
         client.submit("k", trajectory())
         assert client.pending == 1
-        assert settled(client) == [("k", None, -1)]
+        assert poll_results(client) == [("k", None, -1)]
         assert client.pending == 0
         with pytest.raises(TimeoutError, match=r"127\.0\.0\.1:1 gave no rewards .*no connection"):
             client.score([trajectory()])
 
 
-def test_a_question_whose_answer_got_lost_is_asked_again_as_the_same_question() -> None:
-    client_of = partial(ScoreClient, identity="a", timeout_s=0.5, retries=2)
-    with closing(Router()) as router, closing(client_of([router.address])) as client:
+def test_a_request_without_a_reply_is_sent_again_with_the_same_number() -> None:
+    connect = partial(ScoreClient, identity="a", timeout_s=0.5, retries=2)
+    with closing(Router()) as router, closing(connect([router.address])) as client:
         client.submit("k", trajectory(1))
-        asked: list[int] = []
-        answers: list[tuple[object, Rewards | None, int]] = []
+        numbers: list[int] = []  # of the requests that arrived
+        results: list[tuple[object, Rewards | None, int]] = []
 
-        def hear() -> bool:
+        def receive() -> bool:
             if (message := router.recv(0.005)) is not None:
-                asked.append(scoring.read_request(wire.decode(message[1])[0]))
-            answers.extend(client.poll())
-            return bool(answers)
+                numbers.append(scoring.read_request(wire.decode(message[1])[0]))
+            results.extend(client.poll())
+            return bool(results)
 
-        until(hear)
-        assert asked == [asked[0]] * 3
-        assert answers == [("k", None, -1)]
+        until(receive)
+        assert numbers == [numbers[0]] * 3
+        assert results == [("k", None, -1)]
 
 
-def test_a_late_or_repeated_answer_is_a_stray_and_not_another_answer() -> None:
+def test_a_late_or_repeated_reply_is_counted_as_a_stray() -> None:
     with closing(Router()) as router, closing(ScoreClient([router.address], identity="a")) as client:
         client.submit("k", trajectory(1))
-        peer, number = asked(client, router)
+        peer, number = receive_request(client, router)
         reply = ScoreReply(request=number, rewards=(np.ones(1, np.float32),), version=2)
         for message in (scoring.encode_reply(reply), scoring.encode_reply(reply), b"junk"):
             assert router.send(peer, message)
-        answers = settled(client)
-        until(lambda: not client.poll() and client.strays == 2)
-    assert [(key, version) for key, _, version in answers] == [("k", 2)]
+        results = poll_results(client)
+        until(lambda: not client.poll() and client.ignored_replies == 2)
+    assert [(key, version) for key, _, version in results] == [("k", 2)]
 
 
-def test_of_two_replicas_the_one_with_less_to_do_is_asked_more() -> None:
+def test_the_less_loaded_of_two_replicas_gets_more_requests() -> None:
     with closing(Router()) as silent, closing(Router()) as quick:
-        heard = {silent: 0, quick: 0}
+        received = {silent: 0, quick: 0}
         client = ScoreClient([silent.address, quick.address], identity="a", timeout_s=WAIT_S)
 
-        def heard_by_now() -> int:
+        def received_so_far() -> int:
             client.poll()
-            for router in heard:
+            for router in received:
                 while (message := router.recv(0.0)) is not None:
-                    heard[router] += 1
+                    received[router] += 1
                     number = scoring.read_request(wire.decode(message[1])[0])
                     reply = ScoreReply(request=number, rewards=(np.ones(1, np.float32),), version=2, backlog=1)
                     if router is quick:
                         assert router.send(message[0], scoring.encode_reply(reply))
-            return sum(heard.values())
+            return sum(received.values())
 
         with closing(client):
             for key in range(20):
                 client.submit(key, trajectory(1))
-                until(lambda wanted=key + 1: heard_by_now() == wanted)  # type: ignore[misc]
-    assert 1 <= heard[silent] <= 3
+                until(lambda wanted=key + 1: received_so_far() == wanted)  # type: ignore[misc]
+    assert 1 <= received[silent] <= 3
 
 
-def test_when_a_replica_dies_its_questions_go_to_the_other() -> None:
+def test_requests_of_a_dead_replica_go_to_another() -> None:
     with closing(Router()) as dead, serving(RewardService(load)) as alive:
         alive.set_weights(Weights.seal(3, b"4"))
         client = ScoreClient([dead.address, alive.address], identity="a", timeout_s=0.3, retries=20)
         with closing(client):
             for key in range(10):
                 client.submit(key, trajectory(1))
-            answers = settled(client, 10)
-    assert {key: version for key, _, version in answers} == dict.fromkeys(range(10), 3)
+            results = poll_results(client, 10)
+    assert {key: version for key, _, version in results} == dict.fromkeys(range(10), 3)
 
 
-def test_replicas_that_left_and_came_are_followed() -> None:
+def test_pending_requests_go_to_the_new_replicas_after_a_change_of_addresses() -> None:
     with closing(Router()) as gone, serving(RewardService(load)) as new:
         new.set_weights(Weights.seal(3, b"4"))
         with closing(ScoreClient([], identity="a", timeout_s=WAIT_S)) as client:
-            client.submit("early", trajectory(1))  # nobody is there yet: it waits
+            client.submit("early", trajectory(1))  # pending, because there are no replicas yet
             assert client.poll() == []
-            client.follow([gone.address])
-            asked(client, gone)
-            client.follow([new.address])
-            ((key, _, version),) = settled(client)
+            client.set_replicas([gone.address])
+            receive_request(client, gone)
+            client.set_replicas([new.address])
+            ((key, _, version),) = poll_results(client)
     assert (key, version) == ("early", 3)
 
 
-def test_a_replica_that_is_overloaded_rests_while_another_answers() -> None:
+def test_an_overloaded_replica_gets_no_requests_while_another_one_replies() -> None:
     with closing(Router()) as busy, serving(RewardService(load)) as free:
         free.set_weights(Weights.seal(3, b"4"))
         with closing(ScoreClient([busy.address], identity="a", timeout_s=WAIT_S)) as client:
             client.submit("k", trajectory(1))
-            peer, number = asked(client, busy)
-            client.follow([busy.address, free.address])
+            peer, number = receive_request(client, busy)
+            client.set_replicas([busy.address, free.address])
             assert busy.send(peer, scoring.encode_reply(ScoreReply(request=number, error=scoring.OVERLOADED)))
-            ((key, _, version),) = settled(client)
+            ((key, _, version),) = poll_results(client)
     assert (key, version) == ("k", 3)

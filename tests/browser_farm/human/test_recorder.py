@@ -1,4 +1,4 @@
-"""What a person does in the window is what the demonstration says; a hand of trusted events stands in for one."""
+"""Recording a person in Chrome. The tests send trusted input events instead of a person's."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.browser_farm.hand import Hand
 from tests.learner.samples import FLAT, trajectory
 
 SEED = 1
-Play = Callable[[Hand, str], None]  # what the hand does about an instruction
+Play = Callable[[Hand, str], None]  # acts on a page with the given instruction
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +35,8 @@ def recorded(recorder: Recorder, task: str, play: Play, seed: int = SEED) -> Epi
     return episode
 
 
-def told(episode: Episode) -> list[tuple[str, str, str]]:
-    """Verb, what its element reads or is, and the text of each action."""
+def actions_of(episode: Episode) -> list[tuple[str, str, str]]:
+    """(verb, text or tag of the element, typed text) of every action."""
     trajectory = episode.trajectory
     lines = []
     for page, action in zip(trajectory.pages, trajectory.actions, strict=True):
@@ -46,15 +46,15 @@ def told(episode: Episode) -> list[tuple[str, str, str]]:
 
 
 @pytest.mark.chrome
-def test_a_click_is_a_click_on_the_leaf_and_the_page_is_the_one_before_it(recorder: Recorder) -> None:
+def test_a_click_is_a_click_on_the_leaf_with_the_page_before_it(recorder: Recorder) -> None:
     episode = recorded(recorder, "click-button", lambda hand, goal: hand.click("button", goal.split('"')[1]))
-    assert told(episode) == [("CLICK", "Ok", "")]
+    assert actions_of(episode) == [("CLICK", "Ok", "")]
     assert episode.outcome.success
     assert not episode.trajectory.pages[0].tampered.any()
 
 
 @pytest.mark.chrome
-def test_typing_is_one_action_with_the_words_of_the_instruction(recorder: Recorder) -> None:
+def test_typing_is_one_action_with_a_span_of_the_instruction(recorder: Recorder) -> None:
     def play(hand: Hand, goal: str) -> None:
         hand.click("#tt")
         hand.type("Jeralx")
@@ -63,14 +63,14 @@ def test_typing_is_one_action_with_the_words_of_the_instruction(recorder: Record
         hand.click("button")
 
     episode = recorded(recorder, "enter-text", play)
-    assert told(episode) == [("TYPE", "input_text", "Jerald"), ("CLICK", "Submit", "")]
+    assert actions_of(episode) == [("TYPE", "input_text", "Jerald"), ("CLICK", "Submit", "")]
     assert episode.trajectory.actions[0].start >= 0
     assert episode.outcome.success
-    episode.trajectory.check_learned()
+    episode.trajectory.check_learnable()
 
 
 @pytest.mark.chrome
-def test_keys_that_move_on_and_press_are_told_as_what_they_do(recorder: Recorder) -> None:
+def test_tab_is_ignored_and_enter_on_a_button_is_a_click(recorder: Recorder) -> None:
     def play(hand: Hand, goal: str) -> None:
         _, name, _, password, _ = goal.split('"')
         hand.click("#username")
@@ -81,7 +81,7 @@ def test_keys_that_move_on_and_press_are_told_as_what_they_do(recorder: Recorder
         hand.press("Enter")
 
     episode = recorded(recorder, "login-user", play)
-    assert told(episode) == [
+    assert actions_of(episode) == [
         ("TYPE", "input_text", "vina"),
         ("TYPE", "input_password", "US"),
         ("CLICK", "Login", ""),
@@ -90,14 +90,14 @@ def test_keys_that_move_on_and_press_are_told_as_what_they_do(recorder: Recorder
 
 
 @pytest.mark.chrome
-def test_a_click_on_a_label_is_one_on_its_box(recorder: Recorder) -> None:
+def test_a_click_on_a_label_is_a_click_on_its_checkbox(recorder: Recorder) -> None:
     def play(hand: Hand, goal: str) -> None:
         x, y = hand.find("label", "DKkQH")
         hand.click_at(x + 20, y)
         hand.click("button")
 
     episode = recorded(recorder, "click-checkboxes", play)
-    assert told(episode) == [("CLICK", "input_checkbox", ""), ("CLICK", "Submit", "")]
+    assert actions_of(episode) == [("CLICK", "input_checkbox", ""), ("CLICK", "Submit", "")]
     assert episode.outcome.success
 
 
@@ -110,27 +110,27 @@ def test_a_choice_in_a_native_list_is_a_click_on_the_option(recorder: Recorder) 
         hand.click("button")
 
     episode = recorded(recorder, "choose-list", play)
-    assert told(episode)[-2:] == [("CLICK", "Bobine", ""), ("CLICK", "Submit", "")]
-    assert {verb for verb, _, _ in told(episode)} == {"CLICK"}
+    assert actions_of(episode)[-2:] == [("CLICK", "Bobine", ""), ("CLICK", "Submit", "")]
+    assert {verb for verb, _, _ in actions_of(episode)} == {"CLICK"}
     assert episode.outcome.success
 
 
 @pytest.mark.chrome
-def test_a_drag_says_from_where_and_how_far(recorder: Recorder) -> None:
+def test_a_drag_has_its_start_and_distance(recorder: Recorder) -> None:
     def play(hand: Hand, goal: str) -> None:
         hand.drag(hand.find("circle"), (-30.0, 0.0))
         hand.click("button")
 
     episode = recorded(recorder, "drag-circle", play)
     first = episode.trajectory.actions[0]
-    assert told(episode) == [("DRAG", "circle", ""), ("CLICK", "Submit", "")]
+    assert actions_of(episode) == [("DRAG", "circle", ""), ("CLICK", "Submit", "")]
     assert first.by == (-30.0, 0.0)
     assert max(map(abs, first.at)) < 1
     assert episode.outcome.success
 
 
 @pytest.mark.chrome
-def test_what_is_selected_to_be_typed_over_is_no_drag(recorder: Recorder) -> None:
+def test_selecting_text_with_the_mouse_is_not_a_drag(recorder: Recorder) -> None:
     def play(hand: Hand, goal: str) -> None:
         hand.click("#tt")
         hand.type("wrong")
@@ -140,25 +140,25 @@ def test_what_is_selected_to_be_typed_over_is_no_drag(recorder: Recorder) -> Non
         hand.click("button")
 
     episode = recorded(recorder, "enter-text", play)
-    assert [verb for verb, _, _ in told(episode)] == ["TYPE", "TYPE", "CLICK"]
-    assert told(episode)[1] == ("TYPE", "input_text", "Jerald")
+    assert [verb for verb, _, _ in actions_of(episode)] == ["TYPE", "TYPE", "CLICK"]
+    assert actions_of(episode)[1] == ("TYPE", "input_text", "Jerald")
     assert episode.outcome.success
 
 
 @pytest.mark.chrome
-def test_a_text_area_that_is_scrolled_is_scrolled_once(recorder: Recorder) -> None:
+def test_several_wheel_events_are_one_scroll_action(recorder: Recorder) -> None:
     def play(hand: Hand, goal: str) -> None:
         for _ in range(8):
             hand.wheel(hand.find("textarea"), -120.0)
         hand.click("button")
 
     episode = recorded(recorder, "scroll-text-2", play)
-    assert told(episode) == [("SCROLL", "textarea", ""), ("CLICK", "Submit", "")]
+    assert actions_of(episode) == [("SCROLL", "textarea", ""), ("CLICK", "Submit", "")]
     assert episode.trajectory.actions[0].by == (0.0, -960.0)
 
 
 @pytest.mark.chrome
-def test_a_date_is_typed_whole(recorder: Recorder) -> None:
+def test_typing_into_the_parts_of_a_date_field_is_one_action(recorder: Recorder) -> None:
     def play(hand: Hand, goal: str) -> None:
         x, y = hand.find("input")
         hand.click_at(x - 50, y)
@@ -167,12 +167,12 @@ def test_a_date_is_typed_whole(recorder: Recorder) -> None:
 
     episode = recorded(recorder, "enter-date", play)
     month, day, year = episode.trajectory.goal.utterance.split()[1].split("/")
-    assert told(episode) == [("TYPE", "input_date", f"{year}-{month}-{day}"), ("CLICK", "Submit", "")]
+    assert actions_of(episode) == [("TYPE", "input_date", f"{year}-{month}-{day}"), ("CLICK", "Submit", "")]
     assert episode.outcome.success
 
 
 @pytest.mark.chrome
-def test_a_click_that_did_nothing_is_left_out_and_a_failure_is_kept(recorder: Recorder) -> None:
+def test_a_click_without_effect_is_ignored_and_a_failure_is_kept(recorder: Recorder) -> None:
     def play(hand: Hand, goal: str) -> None:
         hand.click("#query")
         hand.click_at(150, 190)
@@ -185,7 +185,7 @@ def test_a_click_that_did_nothing_is_left_out_and_a_failure_is_kept(recorder: Re
 
 
 @pytest.mark.chrome
-def test_a_page_that_is_left_interrupts_the_episode_alone(recorder: Recorder) -> None:
+def test_leaving_the_page_interrupts_only_that_episode(recorder: Recorder) -> None:
     def leave(hand: Hand, goal: str) -> None:
         hand.ask("location.href = 'about:blank';'ok'")
 
@@ -195,45 +195,45 @@ def test_a_page_that_is_left_interrupts_the_episode_alone(recorder: Recorder) ->
 
 
 @pytest.mark.chrome
-def test_a_tab_that_is_closed_ends_the_recording() -> None:
+def test_closing_the_tab_ends_the_recording() -> None:
     with closing(Recorder(headless=True)) as recorder, pytest.raises(BrowserGone, match="the tab was closed"):
         recorded(recorder, "click-test", lambda hand, goal: hand.close())
 
 
 @pytest.mark.chrome
-def test_what_was_recorded_is_done_again_by_anybody(recorder: Recorder, tmp_path: Any) -> None:
+def test_a_recorded_episode_survives_writing_and_reading(recorder: Recorder, tmp_path: Any) -> None:
     episode = recorded(recorder, "click-button", lambda hand, goal: hand.click("button", goal.split('"')[1]))
     write_episodes(tmp_path / "mine", [episode])
     (read,) = read_episodes(tmp_path / "mine")
     assert read.trajectory.actions == (Action(verb=Verb.CLICK, element=episode.trajectory.actions[0].element),)
 
 
-class Scripted:
-    """A recorder whose pages end as told."""
+class ScriptedRecorder:
+    """A recorder whose episodes return or raise the given values in turn."""
 
-    def __init__(self, *ends: Episode | BaseException | None) -> None:
-        self._ends = iter(ends)
+    def __init__(self, *results: Episode | BaseException | None) -> None:
+        self._results = iter(results)
 
-    def record(self, spec: EpisodeSpec, tell: Callable[[str], None]) -> Episode | None:
-        end = next(self._ends)
-        if isinstance(end, BaseException):
-            raise end
-        return end
+    def record(self, spec: EpisodeSpec, show_instruction: Callable[[str], None]) -> Episode | None:
+        result = next(self._results)
+        if isinstance(result, BaseException):
+            raise result
+        return result
 
 
 @pytest.mark.parametrize("end", [KeyboardInterrupt(), BrowserGone("closed")])
-def test_whatever_ends_the_recording_what_is_finished_stays(end: BaseException) -> None:
+def test_finished_episodes_are_kept_however_the_recording_ends(end: BaseException) -> None:
     click = Action(verb=Verb.CLICK, element=0)
     finished = Episode(
         trajectory=trajectory("Click Ok.", [FLAT], [click]),
         outcome=Outcome(raw_reward=-1.0, ended=True),
     )
     pages = [EpisodeSpec(task="click-test", seed=seed) for seed in range(5)]
-    scripted = cast(Recorder, Scripted(finished, None, Interrupted("page_hung"), end))
+    scripted = cast(Recorder, ScriptedRecorder(finished, None, Interrupted("page_hung"), end))
     assert list(watch(scripted, pages, Display())) == [finished]
 
 
-def test_without_a_screen_there_is_one_line_and_no_browser(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_display_recording_is_a_value_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(ValueError, match="there is no screen: DISPLAY is not set"):

@@ -1,15 +1,15 @@
-"""Which words of an instruction stand for what a field was made to hold."""
+"""Which words of an instruction have the same effect as the value of a field."""
 
 from __future__ import annotations
 
 import pytest
 
-from browser_farm.human.spans import wording
+from browser_farm.human.spans import equivalent_span
 from giirl_core.types import NO_SPAN, Goal
 
 
 @pytest.mark.parametrize(
-    ("utterance", "held", "words"),
+    ("utterance", "value", "words"),
     [
         ("Enter 02/08/2019 as the date.", "2019-02-08", "02/08/2019"),
         ("Enter 7:16 PM as the time.", "19:16", "7:16 PM"),
@@ -20,11 +20,11 @@ from giirl_core.types import NO_SPAN, Goal
         ("Choose ok or Ok.", "Ok", "Ok"),
     ],
 )
-def test_what_a_field_holds_is_copied_from_the_words_that_stand_for_it(utterance: str, held: str, words: str) -> None:
+def test_a_field_value_matches_the_words_with_the_same_effect(utterance: str, value: str, words: str) -> None:
     goal = Goal(utterance)
-    assert goal.span(*wording(goal, held)) == words
+    assert goal.span(*equivalent_span(goal, value)) == words
 
 
-@pytest.mark.parametrize("held", ["2019-08-02", "Rus", "russo from", "07:16", ""])
-def test_words_that_only_resemble_what_a_field_holds_do_not_stand_for_it(held: str) -> None:
-    assert wording(Goal("Enter 02/08/2019, 7:16 PM and Russo."), held) == (NO_SPAN, NO_SPAN)
+@pytest.mark.parametrize("value", ["2019-08-02", "Rus", "russo from", "07:16", ""])
+def test_similar_words_do_not_match_a_field_value(value: str) -> None:
+    assert equivalent_span(Goal("Enter 02/08/2019, 7:16 PM and Russo."), value) == (NO_SPAN, NO_SPAN)

@@ -1,4 +1,4 @@
-"""Pages, judgements and strips that the tests of the report are made of; some of them mean harm."""
+"""Pages, scored pages and episodes for the tests of the report; some of them contain hostile text."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ GOAL = Goal('Click on the "Ok" button.')
 
 
 def page(*rows: tuple[str, str, tuple[float, float, float, float]]) -> Page:
-    """Rows of tag, text, and left, top, width, height."""
+    """A page from rows of tag, text and (left, top, width, height)."""
     count = len(rows)
     return Page(
         tag=tuple(tag for tag, _, _ in rows),
@@ -33,26 +33,26 @@ def page(*rows: tuple[str, str, tuple[float, float, float, float]]) -> Page:
 TWO = page(("button", "Ok", (10, 60, 40, 20)), ("button", "Cancel", (10, 90, 60, 20)))
 
 
-def judged(*rewards: float, goal: Goal = GOAL, chosen: int = 0) -> ScoredPage:
-    """Clicks on the first rows earn these."""
+def scored(*rewards: float, goal: Goal = GOAL, chosen: int = 0) -> ScoredPage:
+    """Clicks on the first rows have these rewards, and the policy clicks on row `chosen`."""
     best = tuple(
         ScoredAction(action=Action(verb=Verb.CLICK, element=row), reward=reward) for row, reward in enumerate(rewards)
     )
-    return ScoredPage(goal=goal, choice=Action(verb=Verb.CLICK, element=chosen), best=best)
+    return ScoredPage(goal=goal, policy_action=Action(verb=Verb.CLICK, element=chosen), best=best)
 
 
-def strip(shown: Page = TWO, *, task: str = "click-button", picture: bytes | None = None) -> EpisodeView:
-    """One step, under two instructions."""
-    other = judged(-4.0, 4.5, goal=Goal('Click on the "Cancel" button.'), chosen=1)
-    frame = Frame(page=shown, picture=picture, own=judged(4.8, -3.2), other=other)
+def strip(on: Page = TWO, *, task: str = "click-button", picture: bytes | None = None) -> EpisodeView:
+    """An episode of one step, under two instructions."""
+    other = scored(-4.0, 4.5, goal=Goal('Click on the "Cancel" button.'), chosen=1)
+    frame = Frame(page=on, picture=picture, own=scored(4.8, -3.2), other=other)
     return EpisodeView(task=task, seed=77, frames=(frame,), outcome=Outcome(raw_reward=1.0, ended=True))
 
 
 def hostile_strip() -> EpisodeView:
-    """A page, its instruction and what is typed into it try to become part of the report."""
+    """An episode whose page, instruction, typed text and error contain HTML."""
     bad = Goal(f"Enter {HOSTILE} and go.")
-    shown = page(("input_text", "", (10, 60, 40, 20)), ("button", HOSTILE, (10, 90, 120, 20)))
+    hostile = page(("input_text", "", (10, 60, 40, 20)), ("button", HOSTILE, (10, 90, 120, 20)))
     typing = Action(verb=Verb.TYPE, element=0, start=0, end=len(bad.tokens) - 1)
-    own = replace(judged(1.0, 2.0, goal=bad), choice=typing)
-    frame = Frame(page=shown, picture=None, own=own, other=judged(-1.0, -2.0, goal=bad, chosen=1))
-    return EpisodeView(task="click-button", seed=1, frames=(frame,), outcome=None, trouble=HOSTILE)
+    own = replace(scored(1.0, 2.0, goal=bad), policy_action=typing)
+    frame = Frame(page=hostile, picture=None, own=own, other=scored(-1.0, -2.0, goal=bad, chosen=1))
+    return EpisodeView(task="click-button", seed=1, frames=(frame,), outcome=None, error=HOSTILE)

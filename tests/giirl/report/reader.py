@@ -1,4 +1,4 @@
-"""A Chrome in which a test reads a page as a person would: how wide it gets, what is missing, what it complains of."""
+"""A Chrome that loads a report and measures it: width, images, headings, console messages and network requests."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from browser_farm.chrome.devtools import BROWSER, DevTools, Json, browser_url
 from browser_farm.chrome.launcher import Chrome
 
 DEADLINE_S = 30.0
-COMPLAINTS = ("Log.entryAdded", "Runtime.consoleAPICalled", "Runtime.exceptionThrown")
-LOOK = """(async () => {
+CONSOLE_EVENTS = ("Log.entryAdded", "Runtime.consoleAPICalled", "Runtime.exceptionThrown")
+MEASURE = """(async () => {
   if (document.readyState !== 'complete') await new Promise((go) => addEventListener('load', go));
   const size = (element) => parseFloat(getComputedStyle(element).fontSize);
   return JSON.stringify({
     scroll_width: document.documentElement.scrollWidth,
     images: document.images.length,
     broken: [...document.images].filter((image) => !image.complete || image.naturalWidth === 0).length,
-    nameless: [...document.images].filter((image) => !image.alt).length,
+    without_alt: [...document.images].filter((image) => !image.alt).length,
     scripts: document.scripts.length,
     headings: [...document.querySelectorAll('h1, h2, h3, h4, h5')].map((one) => Number(one.tagName[1])),
     smallest_px: Math.min(...[...document.querySelectorAll('p, td, th, dd, dt, figcaption, summary')].map(size)),
-    paper: getComputedStyle(document.body).backgroundColor,
+    background: getComputedStyle(document.body).backgroundColor,
     text: document.body.innerText,
   });
 })()"""
@@ -33,27 +33,27 @@ LOOK = """(async () => {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
-    """What a page came to in a window of some width."""
+    """Measurements of a page in a window of a given width."""
 
-    scroll_width: int  # CSS px; more than the window's width means scrolling sideways
+    scroll_width: int  # CSS px; more than the window's width means horizontal scrolling
     images: int
     broken: int  # images that did not load
-    nameless: int  # images without a text for those who see none
+    without_alt: int  # images without an alt text
     scripts: int
-    headings: tuple[int, ...]  # their levels, in order
-    smallest_px: float  # of ordinary text
-    paper: str  # the colour behind everything
+    headings: tuple[int, ...]  # their levels, in document order
+    smallest_px: float  # smallest font size of text, without SVG
+    background: str  # colour of the body
     text: str
-    complaints: tuple[str, ...]  # what stands on the console
-    addresses: tuple[str, ...]  # what was asked of anybody but the page itself
+    console: tuple[str, ...]  # messages and exceptions
+    requests: tuple[str, ...]  # URLs requested, without the page itself and data URLs
 
 
 class Reader:
-    """One tab. Leaving the `with` block ends its Chrome."""
+    """One tab of a Chrome, which ends with the `with` block."""
 
     def __init__(self) -> None:
-        self._complaints: list[str] = []
-        self._addresses: list[str] = []
+        self._console: list[str] = []
+        self._requests: list[str] = []
         self._chrome = Chrome(headless=True, no_sandbox=None, timeout_s=60.0)
         try:
             url = browser_url(self._chrome.debugger_address, timeout_s=DEADLINE_S)
@@ -76,27 +76,29 @@ class Reader:
         self._chrome.end()
 
     def read(self, page: Path, *, width: int, dark: bool = False, media: str = "screen") -> Reading:
-        """Open a file in a window so many CSS px wide."""
-        self._complaints, self._addresses = [], []
+        """Open a file in a window of `width` CSS px and measure it."""
+        self._console, self._requests = [], []
         scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         self._call(self._session, "Emulation.setEmulatedMedia", media=media, features=scheme)
         size: Json = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": width < 600}
         self._call(self._session, "Emulation.setDeviceMetricsOverride", **size)
         self._call(self._session, "Page.navigate", url=page.resolve().as_uri())
-        seen = self._call(self._session, "Runtime.evaluate", expression=LOOK, awaitPromise=True, returnByValue=True)
-        found = json.loads(seen["result"]["value"])
-        self._tools.pump(time.monotonic() + 0.2)  # what was said last may still be on its way
+        answer = self._call(
+            self._session, "Runtime.evaluate", expression=MEASURE, awaitPromise=True, returnByValue=True
+        )
+        found = json.loads(answer["result"]["value"])
+        self._tools.pump(time.monotonic() + 0.2)  # the last events may still be in transit
         own = {page.resolve().as_uri()}
-        asked = tuple(a for a in self._addresses if a not in own and not a.startswith("data:"))
+        requests = tuple(url for url in self._requests if url not in own and not url.startswith("data:"))
         return Reading(
-            **{**found, "headings": tuple(found["headings"])}, complaints=tuple(self._complaints), addresses=asked
+            **{**found, "headings": tuple(found["headings"])}, console=tuple(self._console), requests=requests
         )
 
     def _call(self, session: str, method: str, **params: Any) -> Json:
         return self._tools.call(session, method, params, timeout_s=DEADLINE_S)
 
     def _on_event(self, session: str, method: str, params: Json) -> None:
-        if method in COMPLAINTS:
-            self._complaints.append(json.dumps(params))
+        if method in CONSOLE_EVENTS:
+            self._console.append(json.dumps(params))
         elif method == "Network.requestWillBeSent":
-            self._addresses.append(params["request"]["url"])
+            self._requests.append(params["request"]["url"])

@@ -1,4 +1,4 @@
-"""A learned reward without its run: episodes of a file scored, and a service that answers whoever asks."""
+"""The learned reward on its own: scoring episodes of a file, and serving the reward on a port."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def command(*words: str | Path) -> Result:
 
 @contextmanager
 def serving(run: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """`giirl reward serve` as a process, and the address that it says."""
+    """Run `giirl reward serve`; yields the process and the address that it prints."""
     words = [sys.executable, "-m", "giirl", "reward", "serve", str(run)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         watchdog = threading.Timer(WAIT_S, process.kill)
@@ -53,7 +53,7 @@ def serving(run: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
             watchdog.cancel()
 
 
-def test_every_step_of_every_episode_of_a_file_is_scored(finished: Path, tmp_path: Path) -> None:
+def test_every_step_of_every_episode_in_a_file_is_scored(finished: Path, tmp_path: Path) -> None:
     file, out = tmp_path / "some.giirl", tmp_path / "scores.json"
     episodes = expert_episodes(20)
     write_episodes(file, episodes)
@@ -69,7 +69,7 @@ def test_every_step_of_every_episode_of_a_file_is_scored(finished: Path, tmp_pat
     assert "enter-text" in done.output
 
 
-def test_a_served_reward_answers_until_it_is_told_to_stop(finished: Path) -> None:
+def test_a_served_reward_answers_until_it_is_interrupted(finished: Path) -> None:
     trajectories = [episode.trajectory for episode in read_episodes(finished / "demonstrations.giirl")]
     with serving(finished) as (process, address):
         client = ScoreClient([address], identity="test", timeout_s=10.0)
@@ -78,36 +78,36 @@ def test_a_served_reward_answers_until_it_is_told_to_stop(finished: Path) -> Non
         finally:
             client.close()
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=WAIT_S)
+        _, errors = process.communicate(timeout=WAIT_S)
     model = build_reward(load_config(finished / "config.json"), reward_of_run(finished))
     assert version == 1
     assert address.startswith("127.0.0.1:")
-    for found, wanted in zip(rewards, model.score(trajectories), strict=True):
-        np.testing.assert_allclose(found, wanted, atol=1e-4)
-    assert process.returncode == 0, said
-    assert "Traceback" not in said
+    for got, wanted in zip(rewards, model.score(trajectories), strict=True):
+        np.testing.assert_allclose(got, wanted, atol=1e-4)
+    assert process.returncode == 0, errors
+    assert "Traceback" not in errors
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["score", "RUN", "missing.giirl"], "missing.giirl"),
-        (["score", "RUN", "notes.txt"], "notes.txt is no episode file"),
+        (["score", "RUN", "notes.txt"], "notes.txt is not an episode file"),
         (["score", "nowhere", "notes.txt"], "nowhere is no run"),
         (["serve", "nowhere"], "nowhere is no run"),
         (["score", "CLONED", "notes.txt"], "learned no reward"),
         (["serve", "CLONED"], "learned no reward"),
     ],
 )
-def test_what_cannot_be_scored_or_served_is_one_line(
-    words: list[str], said: str, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_an_illegal_reward_command_is_an_error(
+    words: list[str], message: str, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "notes.txt").write_text("dear")
     (tmp_path / "cloned").mkdir()
     settings = json.loads((finished / "config.json").read_text()) | {"algorithm": "cloning"}
     (tmp_path / "cloned/config.json").write_text(json.dumps(settings))
-    where = {"RUN": str(finished), "CLONED": "cloned"}
-    done = command("reward", *(where.get(word, word) for word in words))
+    paths = {"RUN": str(finished), "CLONED": "cloned"}
+    done = command("reward", *(paths.get(word, word) for word in words))
     assert isinstance(done.exception, (ValueError, OSError))
-    assert said in str(done.exception)
+    assert message in str(done.exception)

@@ -1,4 +1,4 @@
-"""Messages of whatever kind: columns that come back, and the one error for everything else."""
+"""The message format: round trips of columns, and WireError for everything malformed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as np_st
 
 from giirl_core.wire import messages as wire
 from giirl_core.wire.messages import Stamp, WireError
-from tests.giirl_core.wire_examples import STAMP, episode, sealed, sealed_bytes, signed
+from tests.giirl_core.wire_examples import STAMP, episode, raw_message, raw_message_bytes, with_prefix
 
 COLUMNS = st.sampled_from([dtype for dtype in wire.DTYPES if dtype != "|b1"]).flatmap(
     lambda dtype: np_st.arrays(dtype, np_st.array_shapes(min_dims=0, max_dims=wire.MAX_DIMS, min_side=0, max_side=3))
@@ -19,7 +19,7 @@ COLUMNS = st.sampled_from([dtype for dtype in wire.DTYPES if dtype != "|b1"]).fl
 
 
 @given(st.dictionaries(st.text(max_size=9), COLUMNS, max_size=9))
-def test_columns_of_any_type_and_shape_come_back_where_they_can_be_read_in_place(sent: dict[str, np.ndarray]) -> None:
+def test_columns_of_any_dtype_and_shape_survive_a_round_trip_and_are_aligned(sent: dict[str, np.ndarray]) -> None:
     _, found = wire.decode(wire.encode({"kind": "x"}, sent))
     assert found.keys() == sent.keys()
     for name, array in found.items():
@@ -28,22 +28,22 @@ def test_columns_of_any_type_and_shape_come_back_where_they_can_be_read_in_place
         assert not array.flags.writeable
 
 
-def test_columns_that_lie_in_memory_in_another_order_are_sent_in_ours() -> None:
+def test_columns_with_another_memory_layout_or_byte_order_are_converted() -> None:
     plain = np.arange(12, dtype="<i4").reshape(3, 4)
-    for strange in (np.asfortranarray(plain), plain.astype(">i4"), np.repeat(plain, 2, axis=1)[:, ::2]):
-        _, found = wire.decode(wire.encode({"kind": "x"}, {"a": strange}))
+    for other in (np.asfortranarray(plain), plain.astype(">i4"), np.repeat(plain, 2, axis=1)[:, ::2]):
+        _, found = wire.decode(wire.encode({"kind": "x"}, {"a": other}))
         assert found["a"].tolist() == plain.tolist()
 
 
 @given(st.binary(max_size=99))
-def test_noise_is_a_wire_error(message: bytes) -> None:
+def test_random_bytes_are_a_wire_error(message: bytes) -> None:
     with pytest.raises(WireError):
         wire.decode(message)
 
 
 @given(st.binary(max_size=60), st.binary(max_size=16))
-def test_noise_with_a_right_checksum_is_a_wire_error(body: bytes, rest: bytes) -> None:
-    for message in (signed(body + rest), sealed_bytes(body, rest)):
+def test_random_bytes_with_a_valid_checksum_are_a_wire_error(body: bytes, rest: bytes) -> None:
+    for message in (with_prefix(body + rest), raw_message_bytes(body, rest)):
         with pytest.raises(WireError):
             wire.decode_episode(message)
 
@@ -79,58 +79,58 @@ def test_noise_with_a_right_checksum_is_a_wire_error(body: bytes, rest: bytes) -
     ],
     ids=repr,
 )
-def test_a_column_that_lies_about_itself_is_a_wire_error(layout: list[object]) -> None:
+def test_a_bad_description_of_the_columns_is_a_wire_error(layout: list[object]) -> None:
     with pytest.raises(WireError):
-        wire.decode(sealed([{"kind": "x"}, *layout], b"12345678"))
+        wire.decode(raw_message([{"kind": "x"}, *layout], b"12345678"))
 
 
 @pytest.mark.parametrize("length", [0, 1, 40, 1 << 16, 1 << 32, 1 << 63])
-def test_a_header_that_lies_about_its_length_is_a_wire_error(length: int) -> None:
+def test_a_wrong_header_length_is_a_wire_error(length: int) -> None:
     body = msgpack.packb([{"kind": "x"}, ["a"], ["<f4"], [[2]]])
     with pytest.raises(WireError):
-        wire.decode(signed(wire.LENGTH.pack(length) + body + wire.GAPS[len(body) % wire.ALIGN] + b"12345678"))
+        wire.decode(with_prefix(wire.LENGTH.pack(length) + body + wire.PADDING[len(body) % wire.ALIGN] + b"12345678"))
 
 
-def test_a_boolean_column_holds_nothing_but_0_and_1() -> None:
+def test_a_boolean_column_with_a_byte_above_1_is_a_wire_error() -> None:
     with pytest.raises(WireError, match="above 1"):
-        wire.decode(sealed([{"kind": "x"}, ["a"], ["|b1"], [[1]]], b"\x02" + bytes(7)))
+        wire.decode(raw_message([{"kind": "x"}, ["a"], ["|b1"], [[1]]], b"\x02" + bytes(7)))
 
 
-def test_a_message_beyond_the_limit_is_refused_before_it_is_read() -> None:
+def test_a_message_over_a_limit_is_a_wire_error() -> None:
     message = wire.encode_episode(episode(), stamp=STAMP)
     wire.decode(message, max_bytes=len(message))
     with pytest.raises(WireError, match="too big"):
         wire.decode(message, max_bytes=len(message) - 1)
     names = [str(n) for n in range(wire.MAX_COLUMNS + 1)]
     with pytest.raises(WireError, match="too big"):
-        wire.decode(sealed([{"kind": "x"}, names, ["<f4"] * len(names), [[0]] * len(names)]))
+        wire.decode(raw_message([{"kind": "x"}, names, ["<f4"] * len(names), [[0]] * len(names)]))
     with pytest.raises(WireError, match="too big"):
         wire.encode({"kind": "x", "text": "a" * wire.MAX_HEADER_BYTES})
 
 
-def test_another_schema_is_named_in_the_error() -> None:
+def test_the_error_names_both_schema_versions() -> None:
     message = wire.encode({"kind": "x"})
-    other = wire.PREFIX.pack(wire.MAGIC, wire.SCHEMA + 1, 0) + message[wire.PREFIX.size :]
-    with pytest.raises(WireError, match="schema 6, this program speaks 5"):
+    other = wire.PREFIX.pack(wire.MAGIC, wire.SCHEMA_VERSION + 1, 0) + message[wire.PREFIX.size :]
+    with pytest.raises(WireError, match="schema version 6, wanted 5"):
         wire.decode(other)
 
 
 def test_a_deeply_nested_header_is_a_wire_error() -> None:
     with pytest.raises(WireError):
-        wire.decode(sealed_bytes(b"\x91" * 100_000 + b"\xc0"))
+        wire.decode(raw_message_bytes(b"\x91" * 100_000 + b"\xc0"))
 
 
-def test_what_cannot_be_sent_is_refused_where_it_was_made() -> None:
+def test_encoding_refuses_what_the_format_cannot_express() -> None:
     with pytest.raises(ValueError, match="kind"):
         wire.encode({"run": "x"})
-    with pytest.raises(ValueError, match="object"):
+    with pytest.raises(ValueError, match="has dtype object"):
         wire.encode({"kind": "x"}, {"a": np.array([None])})
-    with pytest.raises(ValueError, match="cannot be packed"):
+    with pytest.raises(ValueError, match="cannot be encoded"):
         wire.encode({"kind": "x", "seed": 2**80})
     with pytest.raises(ValueError, match="incarnation"):
         Stamp(run="", actor="", incarnation=-1, sequence=0)
     with pytest.raises(ValueError, match="sequence"):
         Stamp(run="", actor="", incarnation=0, sequence=1 << 60)
     for name in ("\ud800", "a\nb", "x" * 300):
-        with pytest.raises(ValueError, match="no name"):
+        with pytest.raises(ValueError, match="printable ASCII"):
             Stamp(run="r", actor=name, incarnation=0, sequence=0)

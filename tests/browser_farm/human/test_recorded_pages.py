@@ -1,0 +1,41 @@
+"""The pages of recordings: the same table of rows that Chrome's page reader gives."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+
+from tests.browser_farm.human.recording_builder import RecordingBuilder, bare_text, body, element, trajectory_of
+
+
+def test_a_page_has_a_row_for_every_visible_element_except_body_wrap_and_instruction(tmp_path: Path) -> None:
+    query = element("DIV", 9, text="Click the link.", id="query")
+    text = element("P", 4, bare_text("see"), element("BR", 7), element("A", 5, text="  the \n link "), classes="big")
+    recording = RecordingBuilder(body(query, text, element("circle", 6, classes={})), "Click the link.")
+    recording.click(5)
+    page = trajectory_of(recording, tmp_path).pages[0]
+    assert page.tag == ("div", "p", "t", "a", "circle")
+    assert page.text == ("", "", "see", "the link", "")
+    assert page.classes == ("", "big", "", "", "")
+    assert page.parent.tolist() == [-1, 0, 1, 1, 0]
+    assert page.box[2].tolist() == [30, 50, 60, 20]
+
+
+def test_the_form_around_the_pages_of_the_first_collection_is_not_a_row(tmp_path: Path) -> None:
+    page = body(element("BUTTON", 4, text="ok"))
+    plain, wrapped = RecordingBuilder(page, "Click ok."), copy.deepcopy(page)
+    wrapped["children"] = [element("FORM", 99, *wrapped["children"], id="mturk_form")]
+    inside = RecordingBuilder(wrapped, "Click ok.")
+    for recording in (plain, inside):
+        recording.click(4)
+        assert trajectory_of(recording, tmp_path).pages[0].tag == ("div", "button")
+
+
+def test_the_value_of_a_checkbox_is_checked_or_empty(tmp_path: Path) -> None:
+    box = element("INPUT_checkbox", 5, value=False, text="", box=(5, 50, 13, 13))
+    page = body(box, element("BUTTON", 6, text="Submit", box=(20, 100, 90, 30)))
+    recording = RecordingBuilder(page, "Select it and click Submit.")
+    recording.click(5, effect=lambda: recording.flip(5))
+    recording.click(6)
+    first, second = trajectory_of(recording, tmp_path).pages
+    assert (first.value[1], second.value[1]) == ("", "checked")
