@@ -43,7 +43,9 @@ class ActorProcess(WorkerProcess):
         `scorers` are the addresses of the ingest and of the reward services.
         """
         config, metrics, name = self._config, self._metrics, f"actor-{self._index}"
-        agent = PolicyAgent(build_policy(config), load_vectors(config.net.vectors))
+        agent = PolicyAgent(
+            build_policy(config), load_vectors(config.net.vectors), sampled_actions=config.sampled_actions
+        )
         agent.load(weights)
         self._weights = weights
         with ExitStack() as resources:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from actors.agents import Agent, Decision
 from giirl_core.metrics import Metrics, waiting
@@ -20,6 +21,7 @@ from giirl_core.types import (
     Outcome,
     Page,
     Purpose,
+    SampledActions,
     Trajectory,
     Verb,
     page_seed,
@@ -90,6 +92,8 @@ class Slot:
     pages: list[Page] = field(default_factory=list)
     actions: list[Action] = field(default_factory=list)
     logp: list[float] = field(default_factory=list)
+    sampled: list[NDArray[np.int16]] = field(default_factory=list)
+    sampled_logp: list[NDArray[np.float32]] = field(default_factory=list)
     version: int | None = None  # of the policy at the first step
 
 
@@ -142,7 +146,7 @@ def _commands(slots: Mapping[int, Slot], agent: Agent, step_limit: int) -> dict[
     commands = {tab: Command(verb=Verb.WAIT, last=True, following=slot.following) for tab, slot in slots.items()}
     playable = {tab: slot for tab, slot in slots.items() if slot.observation.page.leaf.any()}
     if playable:
-        uniform = np.stack([slot.rng.random(3, dtype=np.float32) for slot in playable.values()])
+        uniform = np.stack([slot.rng.random((agent.draws, 3), dtype=np.float32) for slot in playable.values()])
         decisions = agent.select_actions([slot.observation for slot in playable.values()], uniform)
         for (tab, slot), decision in zip(playable.items(), decisions, strict=True):
             commands[tab] = _command(slot, decision, step_limit)
@@ -155,6 +159,9 @@ def _command(slot: Slot, decision: Decision, step_limit: int) -> Command:
     slot.pages.append(page)
     slot.actions.append(action)
     slot.logp.append(decision.logp)
+    if decision.sampled is not None and decision.sampled_logp is not None:
+        slot.sampled.append(decision.sampled)
+        slot.sampled_logp.append(decision.sampled_logp)
     if slot.version is None:
         slot.version = decision.version
     return Command.of(action, slot.observation, last=len(slot.pages) >= step_limit, following=slot.following)
@@ -162,6 +169,10 @@ def _command(slot: Slot, decision: Decision, step_limit: int) -> Command:
 
 def _close(slot: Slot, outcome: Outcome) -> Episode:
     assert slot.version is not None
+    sampled = None
+    if slot.sampled:
+        logp = np.stack(slot.sampled_logp)
+        sampled = SampledActions(choices=np.stack(slot.sampled), logp=logp, rewards=np.zeros_like(logp))
     trajectory = Trajectory(
         task=slot.observation.episode.task,
         goal=slot.observation.goal,
@@ -171,6 +182,7 @@ def _close(slot: Slot, outcome: Outcome) -> Episode:
         behaviour_logp=np.array(slot.logp, dtype=np.float32),
         rewards=np.zeros(len(slot.pages), dtype=np.float32),
         policy_version=slot.version,
+        sampled=sampled,
     )
     return Episode(trajectory=trajectory, outcome=outcome)
 

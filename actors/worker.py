@@ -157,8 +157,7 @@ class Worker:
                 self._submit_unscored(episode)
                 continue
             assert isinstance(episode, Episode)
-            scored = replace(episode.trajectory, rewards=rewards, reward_version=version)
-            self._uplink.submit(replace(episode, trajectory=scored))
+            self._uplink.submit(replace(episode, trajectory=episode.trajectory.with_rewards(rewards, version)))
         self._uplink.poll()
         if self._uplink.silent_for_s > self._limits.orphan_timeout_s:
             raise Orphaned(f"no message from the learner for {self._limits.orphan_timeout_s:.0f} s")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Protocol
 
@@ -270,6 +270,17 @@ class Trajectory:
 
     def __len__(self) -> int:
         return len(self.pages)
+
+    @property
+    def reward_count(self) -> int:
+        """Rewards that a reward service computes for it: of every action taken and every sampled one."""
+        return self.rewards.size + (self.sampled.rewards.size if self.sampled is not None else 0)
+
+    def with_rewards(self, rewards: NDArray[np.float32], version: int) -> Trajectory:
+        """The same with the rewards [T * (1 + M)] of one reward version: per step of the action taken, then the sampled."""
+        table = rewards.reshape(len(self), -1)
+        sampled = self.sampled if self.sampled is None else replace(self.sampled, rewards=table[:, 1:])
+        return replace(self, rewards=table[:, 0], sampled=sampled, reward_version=version)
 
     def check_learnable(self) -> None:
         """Raise ValueError when an action is outside the action space of the nets (`Action.learnable`)."""

@@ -219,7 +219,7 @@ class RewardService:
 
 
 def _check(rewards: Sequence[NDArray[np.float32]], trajectories: Sequence[Trajectory]) -> None:
-    found, wanted = [len(part) for part in rewards], [len(trajectory) for trajectory in trajectories]
+    found, wanted = [len(part) for part in rewards], [trajectory.reward_count for trajectory in trajectories]
     if found != wanted:
         raise ValueError(f"the scorer returned rewards of lengths {found[:8]}, wanted {wanted[:8]}")
     if not all(bool(np.isfinite(part).all()) for part in rewards):

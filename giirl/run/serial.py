@@ -24,7 +24,9 @@ class SerialRuntime:
     def __init__(self, config: Config, metrics: Metrics, resume: Path | None) -> None:
         self._config, self._metrics = config, metrics
         self._browser = open_browser(config, metrics)
-        self._chooser = PolicyAgent(build_policy(config), load_vectors(config.net.vectors))
+        self._chooser = PolicyAgent(
+            build_policy(config), load_vectors(config.net.vectors), sampled_actions=config.sampled_actions
+        )
         self._reward = build_reward(config)
         self._reward_version = 0
         self._played = 0  # episodes of each task
@@ -64,10 +66,7 @@ class SerialRuntime:
         finished = [episode for some in rounds for episode in some]
         rewards = self._reward.score([episode.trajectory for episode in finished])
         return [
-            replace(
-                episode,
-                trajectory=replace(episode.trajectory, rewards=scored, reward_version=self._reward_version),
-            )
+            replace(episode, trajectory=episode.trajectory.with_rewards(scored, self._reward_version))
             for episode, scored in zip(finished, rewards, strict=True)
         ]
 

@@ -105,6 +105,14 @@ class ActionBatch:
     start: Tensor  # [B, M] int64
     end: Tensor  # [B, M] int64
 
+    def columns(self, first: int, last: int) -> ActionBatch:
+        """[B, last - first] some of the M actions on each page."""
+        return ActionBatch(**{f.name: getattr(self, f.name)[:, first:last] for f in fields(self)})
+
+    def table(self) -> Tensor:
+        """[B, M, 4] verb, element, start and end."""
+        return torch.stack([self.verb, self.element, self.start, self.end], dim=2)
+
     def first(self) -> list[Action]:
         """The first action of each page."""
         columns = (part[:, 0].tolist() for part in (self.verb, self.element, self.start, self.end))

@@ -85,12 +85,12 @@ class RewardModel:
         return reward_of(logits.squeeze(0), self.form, self.clip).numpy()
 
     def score(self, trajectories: Sequence[Trajectory]) -> list[NDArray[np.float32]]:
-        """For each trajectory its [T, 1 + M] rewards: of the action taken on each page, then of the sampled ones."""
+        """For each trajectory its [T * (1 + M)] rewards, as `Trajectory.with_rewards` takes them."""
         rows = [featurise(page, t.goal, self.vectors) for t in trajectories for page in t.pages]
         taken = collate_actions([action for trajectory in trajectories for action in trajectory.actions])
         logits = self._logits(rows, join(taken, collate_sampled(trajectories)[0]))
         lengths = [len(trajectory) for trajectory in trajectories]
-        return [part.numpy() for part in episode_rewards(logits, lengths, self.form, self.clip)]
+        return [part.flatten().numpy() for part in episode_rewards(logits, lengths, self.form, self.clip)]
 
     @torch.no_grad()
     def _logits(self, rows: Sequence[Features], actions: ActionBatch) -> Tensor:

@@ -1,9 +1,10 @@
 """Trajectories in columnar form: one flat array for each quantity, concatenated over trajectories, steps and rows.
 
     column                                 length      one entry for each
-    steps                                  N           trajectory: its number of steps
+    steps, samples                         N           trajectory: its number of steps, of sampled actions for each
     rows, verb, element, ..., rewards      sum(steps)  step; `rows` is the number of elements of its page
     tag, text, ..., ref, box, ...          sum(rows)   element of a page
+    sampled, sampled_logp, ...             sum(steps * samples)  sampled action
     characters                             -           all distinct strings, joined, in UTF-8
     string_ends                            S           distinct string: where it ends, in characters
 
@@ -20,7 +21,7 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from giirl_core.types import Action, Goal, Page, Trajectory, Verb
+from giirl_core.types import Action, Goal, Page, SampledActions, Trajectory, Verb
 
 Column: TypeAlias = NDArray[Any]
 Columns: TypeAlias = dict[str, Column]
@@ -28,7 +29,7 @@ T = TypeVar("T")
 
 TEXT_COLUMNS = ("tag", "text", "value", "classes", "colour", "shape")
 # Name -> dtype and shape of one entry.
-PER_TRAJECTORY: dict[str, tuple[str, tuple[int, ...]]] = {"steps": ("<u4", ())}
+PER_TRAJECTORY: dict[str, tuple[str, tuple[int, ...]]] = {"steps": ("<u4", ()), "samples": ("<u4", ())}
 PER_STEP: dict[str, tuple[str, tuple[int, ...]]] = {
     "rows": ("<u4", ()),
     "verb": ("|i1", ()),
@@ -50,9 +51,15 @@ PER_ROW: dict[str, tuple[str, tuple[int, ...]]] = {
     "focused": ("|b1", ()),
     "tampered": ("|b1", ()),
 }
+PER_SAMPLE: dict[str, tuple[str, tuple[int, ...]]] = {
+    "sampled": ("<i2", (4,)),
+    "sampled_logp": ("<f4", ()),
+    "sampled_rewards": ("<f4", ()),
+}
 STRINGS: dict[str, tuple[str, tuple[int, ...]]] = {"characters": ("|u1", ()), "string_ends": ("<u4", ())}
+MAX_SAMPLES = 1024  # actions for each step
 MAX_STEPS = 1 << 16  # in one set of columns; the unpacked objects of a step are many times larger than its columns
-COLUMN_TYPES = {**PER_TRAJECTORY, **PER_STEP, **PER_ROW, **STRINGS}
+COLUMN_TYPES = {**PER_TRAJECTORY, **PER_STEP, **PER_ROW, **PER_SAMPLE, **STRINGS}
 
 
 def pack(trajectories: Sequence[Trajectory]) -> Columns:
@@ -71,6 +78,7 @@ def pack(trajectories: Sequence[Trajectory]) -> Columns:
         "by": _column("by", [action.by for action in actions]).reshape(-1, 2),
         "behaviour_logp": _concatenate("behaviour_logp", [t.behaviour_logp for t in trajectories]),
         "rewards": _concatenate("rewards", [t.rewards for t in trajectories]),
+        **_pack_sampled([t.sampled for t in trajectories]),
     }
     for name in ("ref", "parent", "box", "focused", "tampered"):
         columns[name] = _concatenate(name, [getattr(page, name) for page in pages])
@@ -93,7 +101,8 @@ def unpack(columns: Mapping[str, Column], headers: Sequence[Mapping[str, object]
     actions = _unpack_actions(columns, strings)
     pages = _unpack_pages(columns, strings)
     trajectories = []
-    for header, (first, last) in zip(headers, _spans(step_ends), strict=True):
+    sampled = _unpack_sampled(columns)
+    for header, (first, last), samples in zip(headers, _spans(step_ends), sampled, strict=True):
         trajectories.append(
             Trajectory(
                 task=read_field(header, "task", str),
@@ -105,6 +114,7 @@ def unpack(columns: Mapping[str, Column], headers: Sequence[Mapping[str, object]
                 rewards=columns["rewards"][first:last].view(np.float32),
                 policy_version=read_field(header, "policy_version", int),
                 reward_version=read_field(header, "reward_version", int),
+                sampled=samples,
             )
         )
     return trajectories
@@ -148,6 +158,35 @@ def _concatenate(name: str, parts: Sequence[Column]) -> Column:
     if not parts:
         return np.empty((0, *entry), dtype=dtype)
     return np.concatenate(parts, dtype=np.dtype(dtype), casting="same_kind")
+
+
+def _pack_sampled(parts: Sequence[SampledActions | None]) -> Columns:
+    some = [part for part in parts if part is not None]
+    return {
+        "samples": _column("samples", [part.logp.shape[1] if part is not None else 0 for part in parts]),
+        "sampled": _concatenate("sampled", [part.choices.reshape(-1, 4) for part in some]),
+        "sampled_logp": _concatenate("sampled_logp", [part.logp.ravel() for part in some]),
+        "sampled_rewards": _concatenate("sampled_rewards", [part.rewards.ravel() for part in some]),
+    }
+
+
+def _unpack_sampled(columns: Mapping[str, Column]) -> list[SampledActions | None]:
+    steps, samples = columns["steps"].astype(np.int64), columns["samples"].astype(np.int64)
+    if len(samples) and int(samples.max()) > MAX_SAMPLES:
+        raise ValueError(f"column 'samples' holds {int(samples.max())}, wanted at most {MAX_SAMPLES}")
+    ends = np.cumsum(steps * samples)
+    if (int(ends[-1]) if len(ends) else 0) != len(columns["sampled"]):
+        raise ValueError(f"columns 'steps' and 'samples' do not split the {len(columns['sampled'])} sampled actions")
+    return [
+        SampledActions(
+            choices=columns["sampled"][first:last].view(np.int16).reshape(count, wide, 4),
+            logp=columns["sampled_logp"][first:last].view(np.float32).reshape(count, wide),
+            rewards=columns["sampled_rewards"][first:last].view(np.float32).reshape(count, wide),
+        )
+        if wide
+        else None
+        for count, wide, (first, last) in zip(steps.tolist(), samples.tolist(), _spans(ends), strict=True)
+    ]
 
 
 def _pack_strings(pages: Sequence[Page], actions: Sequence[Action]) -> Columns:
@@ -238,7 +277,7 @@ def _check_shapes(columns: Mapping[str, Column]) -> None:
         column = columns[name]
         if column.dtype != np.dtype(dtype) or column.ndim == 0 or column.shape[1:] != entry:
             raise ValueError(f"column {name!r} is {column.dtype}{list(column.shape)}, wanted {dtype}[n, {entry}]")
-    for group in (PER_TRAJECTORY, PER_STEP, PER_ROW):
+    for group in (PER_TRAJECTORY, PER_STEP, PER_ROW, PER_SAMPLE):
         lengths = {name: len(columns[name]) for name in group}
         if len(set(lengths.values())) > 1:
             raise ValueError(f"columns have lengths {lengths}, wanted equal lengths")
@@ -248,7 +287,7 @@ def _check_shapes(columns: Mapping[str, Column]) -> None:
 
 
 def _check_finite(columns: Mapping[str, Column]) -> None:
-    for name in ("behaviour_logp", "rewards", "box", "at", "by"):
+    for name in ("behaviour_logp", "rewards", "box", "at", "by", "sampled_logp", "sampled_rewards"):
         if not bool(np.isfinite(columns[name]).all()):
             raise ValueError(f"column {name!r} holds a number that is not finite")
 

@@ -23,7 +23,7 @@ WAIT_EACH_S = 0.001  # to receive from each of several replicas
 class _Replica:
     address: str
     dealer: Dealer
-    steps_in_flight: int = 0  # in requests that it has not answered
+    rewards_in_flight: int = 0  # in requests that it has not answered
     backlog: int = 0  # requests queued there, by its last reply
     retryable_errors: int = 0  # in a row
     backoff_until_s: float = 0.0  # no requests are sent to it before
@@ -34,7 +34,7 @@ class _Replica:
 class _Request:
     key: object
     message: bytes
-    steps: tuple[int, ...]  # of each trajectory
+    rewards: tuple[int, ...]  # wanted for each trajectory
     attempts: int = 0  # how often it was sent, without those that were answered with a retryable error
     replica: _Replica | None = None  # where the current attempt was sent
     attempt_end_s: float = 0.0  # deadline of the current attempt
@@ -145,7 +145,7 @@ class ScoreClient:
         self._pending[number] = _Request(
             key=key,
             message=encode_request(number, trajectories),
-            steps=tuple(len(trajectory) for trajectory in trajectories),
+            rewards=tuple(trajectory.reward_count for trajectory in trajectories),
             end_s=time.monotonic() + self._timeout_s * (self._retries + 1),
         )
 
@@ -162,11 +162,11 @@ class ScoreClient:
     def _send_to_best(self, request: _Request, now_s: float) -> None:
         """Send to the least loaded reachable replica that is not backing off; suspect replicas come last."""
         available = [replica for replica in self._replicas if now_s >= replica.backoff_until_s]
-        for replica in sorted(available, key=lambda r: (r.suspect_until_s > now_s, r.steps_in_flight + r.backlog)):
+        for replica in sorted(available, key=lambda r: (r.suspect_until_s > now_s, r.rewards_in_flight + r.backlog)):
             if replica.dealer.send(request.message):
                 request.replica, request.attempt_end_s = replica, now_s + self._timeout_s
                 request.attempts += 1
-                replica.steps_in_flight += sum(request.steps)
+                replica.rewards_in_flight += sum(request.rewards)
                 return
         if available and not request.attempts:
             refusals = sum(replica.dealer.refusals for replica in self._replicas)
@@ -175,7 +175,7 @@ class ScoreClient:
     def _detach(self, request: _Request) -> None:
         """End the current attempt of a request."""
         if request.replica:
-            request.replica.steps_in_flight -= sum(request.steps)
+            request.replica.rewards_in_flight -= sum(request.rewards)
         request.replica = None
 
     def _receive(self, wait_s: float) -> list[_Result]:
@@ -212,8 +212,8 @@ class ScoreClient:
             return None
         replica.retryable_errors = 0
         self._detach(self._pending.pop(reply.request))
-        if reply.error or tuple(len(part) for part in reply.rewards) != request.steps:
-            error = reply.error or "the reply has another number of rewards than the trajectories have steps"
+        if reply.error or tuple(len(part) for part in reply.rewards) != request.rewards:
+            error = reply.error or "the reply has another number of rewards than were wanted"
             return _Result(key=request.key, rewards=None, version=UNSCORED, error=error)
         return _Result(key=request.key, rewards=reply.rewards, version=reply.version)
 
