@@ -104,10 +104,10 @@ class Metrics:
         self.gradient_update_duration = self._histogram(
             "giirl_gradient_update_duration_seconds", "Duration of one gradient update.", DURATION_BUCKETS, "network"
         )
-        self.trajectories_trained = self._counter(
-            "giirl_trajectories_trained_total",
-            "Number of trajectories trained on, by the process that computed their rewards.",
-            "reward_source",
+        self.rewards_used = self._counter(
+            "giirl_rewards_used_total",
+            "Number of rewards the policy was trained on, by the process that computed them.",
+            "source",
         )
         self.discriminator_accuracy = self._gauge(
             "giirl_discriminator_accuracy_ratio",

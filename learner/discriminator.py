@@ -38,11 +38,17 @@ TAKEN, POLICYS, RANDOM = 0, 1, 2  # columns of the actions on each page
 
 @dataclass(frozen=True, slots=True)
 class _Pages:
-    """What one update trains on: pages, three actions on each, and which of those come from where."""
+    """What one iteration trains on: pages, actions on each, and which of those count as what."""
 
     batch: Batch  # B pages
-    actions: ActionBatch  # [B, 3]
+    taken: ActionBatch  # [B, 1]
+    own: ActionBatch  # [B, updates] the policy's, on expert pages
+    random: ActionBatch  # [B, updates]
     sources: dict[str, tuple[float, slice, int]]  # by name: weight, rows and column of its actions
+
+    def actions(self, update: int) -> ActionBatch:
+        """[B, 3] those of one update: taken, the policy's, random."""
+        return join(self.taken, self.own.columns(update, update + 1), self.random.columns(update, update + 1))
 
 
 class Discriminator:
@@ -72,9 +78,10 @@ class Discriminator:
         `d_accuracy_SOURCE` is the share of that source's pairs on the right side of D = 1/2.
         """
         stats: dict[str, float] = {}
-        for _ in range(self.config.updates):
+        pages = self._gather(expert, rollouts, policy)
+        for update in range(self.config.updates):
             with timed_update(self._metrics, "reward"):
-                stats = self._descend(self._gather(expert, rollouts, policy), policy)
+                stats = self._descend(pages, update, policy)
         for name, value in stats.items():
             if name.startswith(ACCURACY):
                 self._metrics.discriminator_accuracy.labels(name.removeprefix(ACCURACY)).set(value)
@@ -116,7 +123,7 @@ class Discriminator:
         return episode_rewards(logits, lengths, self.config.reward, self.config.clip)
 
     def _gather(self, expert: Sequence[Example], rollouts: Sequence[Example], policy: PolicyNet) -> _Pages:
-        """The pages of one update, each to be encoded once, with up to three actions on it."""
+        """The pages to train on, each to be encoded once an update, with an action of each kind for every update."""
         config, rng = self.config, self._rng
         pick = pick_step if config.train_on == "all_steps" else last_step
         steps = {
@@ -127,8 +134,9 @@ class Discriminator:
         }
         batch, taken = collate_steps([step for some in steps.values() for step in some])
         device = self.model.device
-        uniform = torch.rand(len(batch), 1, 3, generator=self._generator)
-        actions = join(taken, self._act(steps[EXPERT], policy, taken), random_actions(batch, uniform))
+        uniform = torch.rand(len(batch), config.updates, 3, generator=self._generator)
+        random = random_actions(batch, uniform)
+        own = self._act(steps[EXPERT], policy, random)
         firsts = np.cumsum([0, *(len(some) for some in steps.values())]).tolist()
         sources = {
             name: (getattr(config, name, 1.0), slice(first, last), TAKEN)
@@ -137,7 +145,7 @@ class Discriminator:
         sources["policy_on_expert_states"] = config.policy_on_expert_states, slice(0, config.batch), POLICYS
         sources["random_actions"] = config.random_actions, slice(0, firsts[2], 2), RANDOM
         used = {name: part for name, part in sources.items() if part[0] and part[1].start < part[1].stop}
-        return _Pages(batch.to(device), actions.to(device), used)
+        return _Pages(batch.to(device), taken.to(device), own.to(device), random.to(device), used)
 
     def _newest(self, rollouts: Sequence[Example]) -> list[Step]:
         """Each step of the newest rollouts at most once."""
@@ -148,31 +156,31 @@ class Discriminator:
         return [steps[i] for i in some.tolist()]
 
     @torch.no_grad()
-    def _act(self, shown: Sequence[Step], policy: PolicyNet, taken: ActionBatch) -> ActionBatch:
-        """[B, 1] the policy's action on each expert page; on the others the action taken, which is not used.
+    def _act(self, shown: Sequence[Step], policy: PolicyNet, random: ActionBatch) -> ActionBatch:
+        """[B, updates] the policy's actions on the expert pages, which come first; on the others random ones.
 
         The policy's actions on expert pages are a difference that no memory of pages can explain. Random actions keep
         what is wrong wrong for as long as training lasts, on the policy's pages too, where a good policy makes no
         mistakes any more and the right action would be the only one labelled as the policy's.
         """
         if not self.config.policy_on_expert_states:
-            return taken
+            return random
         device = policy.encoder.table.device
-        uniform = torch.rand(len(shown), 1, 3, generator=self._generator).to(device)
+        uniform = torch.rand(len(shown), self.config.updates, 3, generator=self._generator).to(device)
         own, _ = policy.sample(policy.encoder(collate([step.features for step in shown]).to(device)), uniform)
-        return _over(own.to(taken.verb.device), taken)
+        return random.replace_first(own.to(random.verb.device))
 
-    def _descend(self, pages: _Pages, policy: PolicyNet) -> dict[str, float]:
+    def _descend(self, pages: _Pages, update: int, policy: PolicyNet) -> dict[str, float]:
         config, net = self.config, self.model.net
         net.train()
-        batch = pages.batch
+        batch, actions = pages.batch, pages.actions(update)
         if config.rename_prob:
-            batch = rename(batch, pages.actions, config.rename_prob, config.position_jitter, self._generator)
-        read = net.encode(net.encoder(batch), pages.actions).flatten(0, 1)
+            batch = rename(batch, actions, config.rename_prob, config.position_jitter, self._generator)
+        read = net.encode(net.encoder(batch), actions).flatten(0, 1)
         logits = net.head(read).view(len(batch), -1)
         if config.form == "airl":
             with torch.no_grad():  # by the page's own words, which are all that the policy knows
-                logp, _ = policy.evaluate(policy.encoder(pages.batch), pages.actions)
+                logp, _ = policy.evaluate(policy.encoder(pages.batch), actions)
             logits = logits - logp
         parts = {name: logits[rows, column] for name, (_, rows, column) in pages.sources.items()}
         counted = {
@@ -193,8 +201,3 @@ class Discriminator:
             stats[ACCURACY + name] = right.float().mean().item()
         return stats
 
-
-def _over(first: ActionBatch, all_: ActionBatch) -> ActionBatch:
-    """[B, M] `all_`, whose first rows are replaced."""
-    columns = {f.name: (getattr(first, f.name), getattr(all_, f.name)) for f in fields(ActionBatch)}
-    return ActionBatch(**{name: torch.cat([top, rest[len(top) :]]) for name, (top, rest) in columns.items()})

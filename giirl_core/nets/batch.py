@@ -109,6 +109,11 @@ class ActionBatch:
         """[B, last - first] some of the M actions on each page."""
         return ActionBatch(**{f.name: getattr(self, f.name)[:, first:last] for f in fields(self)})
 
+    def replace_first(self, first: ActionBatch) -> ActionBatch:
+        """The same with the actions `first` [b, M] on the first b pages."""
+        columns = {f.name: (getattr(first, f.name), getattr(self, f.name)) for f in fields(self)}
+        return ActionBatch(**{name: torch.cat([new, old[len(new) :]]) for name, (new, old) in columns.items()})
+
     def table(self) -> Tensor:
         """[B, M, 4] verb, element, start and end."""
         return torch.stack([self.verb, self.element, self.start, self.end], dim=2)

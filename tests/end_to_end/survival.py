@@ -88,7 +88,7 @@ def _observe_healthy(command: Command, survival: Survival) -> None:
         survival.healthy = {process: try_scrape(survival.run, process) for process in processes}
         return (
             all(survival.healthy.values())
-            and total(survival.healthy["learner"], "giirl_trajectories_trained_total", reward_source="service") > 0
+            and total(survival.healthy["learner"], "giirl_rewards_used_total", source="service") > 0
         )
 
     command.until(lambda: step(survival.run) > 0, "first iteration")

@@ -26,7 +26,7 @@ METRICS = {
         "giirl_reward_lag_versions_count",
         "giirl_gradient_updates_total",
         "giirl_gradient_update_duration_seconds_count",
-        "giirl_trajectories_trained_total",
+        "giirl_rewards_used_total",
         "giirl_discriminator_accuracy_ratio",
         "giirl_waiting_seconds_total",
     },
@@ -85,7 +85,7 @@ def test_metrics_have_the_documented_labels(survival: Survival) -> None:
 
 
 def test_the_update_uses_rewards_from_the_service(survival: Survival) -> None:
-    assert total(survival.learner, "giirl_trajectories_trained_total", reward_source="service") > 0
+    assert total(survival.learner, "giirl_rewards_used_total", source="service") > 0
 
 
 def test_prometheus_finds_every_process_in_the_file_that_the_run_writes(survival: Survival) -> None:

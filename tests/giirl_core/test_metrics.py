@@ -68,7 +68,7 @@ def test_the_names_of_all_metrics(metrics: Metrics) -> None:
         "giirl_scoring_requests",
         "giirl_trajectories_dropped",
         "giirl_trajectories_received",
-        "giirl_trajectories_trained",
+        "giirl_rewards_used",
         "giirl_waiting_seconds",
         "giirl_waiting_threads",
         "giirl_weights_refused",

@@ -83,8 +83,8 @@ def test_rewards_too_old_are_computed_again_by_the_same_function(demonstrations:
     for got, wanted in zip(rewards[2:], fresh[2:], strict=True):
         np.testing.assert_allclose(got.numpy(), wanted, atol=1e-5)
     exposed = generate_latest(metrics.registry).decode()
-    assert 'giirl_trajectories_trained_total{reward_source="service"} 2.0' in exposed
-    assert 'giirl_trajectories_trained_total{reward_source="learner"} 3.0' in exposed
+    assert 'giirl_rewards_used_total{source="service"} 2.0' in exposed
+    assert 'giirl_rewards_used_total{source="learner"} 3.0' in exposed
 
 
 @pytest.mark.parametrize("lag", [0, 1])
