@@ -79,9 +79,7 @@ class PolicyAgent:
         random = random_actions(batch, noise[:, own:])
         table = join(actions.columns(1, own), random).table().numpy().astype(np.int16)
         table_logp = torch.cat([logp[:, 1:], self.net.evaluate(encoding, random)[0]], dim=1).numpy()
-        return [
-            Decision(action, p, self.version, table[b], table_logp[b]) for b, (action, p) in enumerate(decisions)
-        ]
+        return [Decision(action, p, self.version, table[b], table_logp[b]) for b, (action, p) in enumerate(decisions)]
 
 
 class ExpertAgent:

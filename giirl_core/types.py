@@ -214,9 +214,9 @@ class Browser(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SampledActions:
-    """M further actions on each page of a trajectory, drawn but not taken: the reward of each can still be learned from.
+    """M further actions on each page of a trajectory: drawn but not taken, for the reward to score.
 
-    Half of them are the policy's, half uniform over what is legal.
+    Half of them are drawn from the policy, half uniformly from the legal actions.
     """
 
     choices: NDArray[np.int16]  # [T, M, 4] verb, element, first and last word (-1 where nothing is typed)
@@ -273,11 +273,11 @@ class Trajectory:
 
     @property
     def reward_count(self) -> int:
-        """Rewards that a reward service computes for it: of every action taken and every sampled one."""
+        """How many rewards the reward service computes for it: of each action taken and each sampled one."""
         return self.rewards.size + (self.sampled.rewards.size if self.sampled is not None else 0)
 
     def with_rewards(self, rewards: NDArray[np.float32], version: int) -> Trajectory:
-        """The same with the rewards [T * (1 + M)] of one reward version: per step of the action taken, then the sampled."""
+        """The same with rewards [T * (1 + M)] of one version: for each step the action taken, then the sampled ones."""
         table = rewards.reshape(len(self), -1)
         sampled = self.sampled if self.sampled is None else replace(self.sampled, rewards=table[:, 1:])
         return replace(self, rewards=table[:, 0], sampled=sampled, reward_version=version)
@@ -300,8 +300,14 @@ def _check_sampled(sampled: SampledActions, pages: Sequence[Page], goal: Goal) -
     sizes = np.array([[len(page)] for page in pages])
     typed = verb == Verb.TYPE
     words = len(goal.tokens)
-    legal = (element >= 0) & (element < sizes) & np.where(
-        typed, (start >= 0) & (start <= end) & (end < words), (verb == Verb.CLICK) & (start == NO_SPAN) & (end == NO_SPAN)
+    legal = (
+        (element >= 0)
+        & (element < sizes)
+        & np.where(
+            typed,
+            (start >= 0) & (start <= end) & (end < words),
+            (verb == Verb.CLICK) & (start == NO_SPAN) & (end == NO_SPAN),
+        )
     )
     if not legal.all():
         t, m = (int(place) for place in np.argwhere(~legal)[0])

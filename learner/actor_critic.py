@@ -23,8 +23,8 @@ class ActorCritic:
 
     V-trace policy gradients on the actions taken; and, since a learned reward also scores actions that were not taken,
     a step towards p(a) ~ exp(r(s, a | g) / alpha), the soft-optimal choice for the immediate reward, among M sampled
-    actions, half of them the policy's and half uniform. The first sees consequences. The second does not, but cannot get
-    stuck: a policy that never types still learns which typing the reward favours.
+    actions, half of them the policy's and half uniform. The first sees consequences. The second does not, but cannot
+    get stuck: a policy that never types still learns which typing the reward favours.
     """
 
     def __init__(self, config: PolicyConfig, net: PolicyNet, *, metrics: Metrics) -> None:
@@ -65,8 +65,7 @@ class ActorCritic:
         soft = paid + self.config.gamma * self.entropy * ahead
         targets, advantages = vtrace(now, behaviour, soft, values, mask, self.config.gamma)
         gain = (advantages[mask] * logp[:, 0]).mean()
-        target = (rewards[:, 1:] / self.entropy - proposal).softmax(1)  # p(a) ~ exp(r / alpha), by importance sampling
-        distance = -(target * logp[:, 1:]).sum(1).mean()
+        distance = -(soft_optimal(rewards[:, 1:], proposal, self.entropy) * logp[:, 1:]).sum(1).mean()
         error = (targets[mask] - value).pow(2).mean()
         loss = -self.config.vtrace_weight * gain + distance
         loss = loss - self.entropy * entropy.mean() + self.config.value_loss_weight * error
@@ -78,6 +77,11 @@ class ActorCritic:
             "p_reward": paid.sum(1).mean().item(),
             "p_ratio": (now[mask] - behaviour[mask]).exp().mean().item(),
         }
+
+
+def soft_optimal(rewards: Tensor, proposal: Tensor, alpha: float) -> Tensor:
+    """[B, M] p(a) ~ exp(r(a) / alpha) among M actions that were drawn with log-probabilities `proposal`, nats."""
+    return (rewards / alpha - proposal).softmax(1)
 
 
 def descend(optimiser: torch.optim.Optimizer, net: nn.Module, loss: Tensor) -> None:

@@ -16,7 +16,6 @@ from giirl_core.nets.features import Features, featurise
 from giirl_core.nets.language import Vectors
 from giirl_core.types import Action, Goal, Trajectory, Verb
 
-
 WRONG_GOALS_KEPT = 4096  # features of expert pages under wrong goals that are kept
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -101,8 +101,7 @@ class Discriminator:
         stale = [example for example, fresh in zip(rollouts, carried, strict=True) if not fresh]
         again = iter(self._score(stale))
         rewards = [
-            carried_rewards(example) if fresh else next(again)
-            for example, fresh in zip(rollouts, carried, strict=True)
+            carried_rewards(example) if fresh else next(again) for example, fresh in zip(rollouts, carried, strict=True)
         ]
         for source, wanted in (("service", True), ("learner", False)):
             used = sum(part.numel() for part, fresh in zip(rewards, carried, strict=True) if fresh is wanted)
@@ -200,4 +199,3 @@ class Discriminator:
             right = part > 0 if name == EXPERT else part < 0
             stats[ACCURACY + name] = right.float().mean().item()
         return stats
-

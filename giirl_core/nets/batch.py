@@ -1,4 +1,4 @@
-"""Many pages as tensors without work on padding: words and elements lie end to end, pages of like size share a block."""
+"""Many pages as tensors, without work on padding: words and elements lie end to end, like sizes share a block."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Batch:
-    """B pages under their goals: words and elements flat, T and N rows; L words in the longest goal, E the fullest page.
+    """B pages under their goals: flat words (T rows) and elements (N rows); at most L words and E elements a page.
 
     Behind the words of each goal lies one row of zeros, which parts them from the next goal's.
     """
@@ -298,9 +298,7 @@ def without_overlap(batch: Batch) -> Batch:
     tokens, elements = batch.token_flags.clone(), batch.element_flags.clone()
     tokens[:, TOKEN_OVERLAP] = 0.0
     elements[:, ELEMENT_OVERLAP] = 0.0
-    return replace(
-        batch, token_flags=tokens, element_flags=elements, match_weight=torch.zeros_like(batch.match_weight)
-    )
+    return replace(batch, token_flags=tokens, element_flags=elements, match_weight=torch.zeros_like(batch.match_weight))
 
 
 def _other(words: Tensor, salt: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Reads pages under their goals after DOMNet (Liu et al. 2018): words, elements, and what they have to do with each other."""
+"""Encodes pages under their goals, after DOMNet (Liu et al. 2018): words, elements and the relations among them."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ class Encoder(nn.Module):
 
 
 def nearness(batch: Batch) -> list[Tensor]:
-    """[b, E, E] by block: for each element its leaves by pixel distance: shares of those other than itself, 0 of others.
+    """[b, E, E] by block: each element's weights over the other leaves of its page, by distance in pixels; 0 elsewhere.
 
     DOMNet's neighbours in pixels (Liu et al. 2018) in a soft form: most of the weight is on what is adjacent to it in
     its line, where lines are some px apart, edge to edge.

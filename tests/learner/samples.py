@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from actors.agents import ExpertAgent
 from actors.rollouts import Schedule, play
@@ -13,7 +14,8 @@ from browser_farm.experts import expert
 from browser_farm.fake import TASKS, FakeFarm
 from giirl_core.config import NetConfig
 from giirl_core.metrics import Metrics
-from giirl_core.nets.features import Batch, collate, featurise
+from giirl_core.nets.batch import ActionBatch, Batch, collate
+from giirl_core.nets.features import MATCH_KINDS, Features, featurise
 from giirl_core.nets.language import Vectors, load_vectors
 from giirl_core.nets.models import PolicyNet, RewardNet
 from giirl_core.types import Action, Episode, Goal, Page, Purpose, Trajectory, Verb
@@ -29,7 +31,7 @@ def vectors() -> Vectors:
 def page(*rows: str, value: Sequence[str] = (), parent: Sequence[int] = ()) -> Page:
     """Rows given as "tag" or "tag:text"."""
     count = len(rows)
-    tags, texts = zip(*(row.partition(":")[::2] for row in rows), strict=True)
+    tags, texts = zip(*(row.partition(":")[::2] for row in rows), strict=True) if rows else ((), ())
     return Page(
         tag=tags,
         text=texts,
@@ -56,6 +58,21 @@ CASES = (
 def batch_of(*cases: tuple[Page, Goal]) -> Batch:
     """Pages under their goals, as tensors."""
     return collate([featurise(shown, goal, vectors()) for shown, goal in cases])
+
+
+def dense_matches(features: Features) -> NDArray[np.float32]:
+    """[MATCH_KINDS, E, L] the matches of a page as a table."""
+    table = np.zeros((MATCH_KINDS, len(features.element_ids), len(features.token_ids)), dtype=np.float32)
+    element, kind, token = features.match_ids.T
+    table[kind, element, token] = features.match_weights
+    return table
+
+
+def on_one_page(actions: Sequence[Action]) -> ActionBatch:
+    """All of them on one page."""
+    columns = [[getattr(action, name) for action in actions] for name in ("verb", "element", "start", "end")]
+    verb, element, start, end = (torch.tensor([column]) for column in columns)
+    return ActionBatch(verb=verb, element=element, start=start, end=end)
 
 
 def policy(seed: int = 0) -> PolicyNet:

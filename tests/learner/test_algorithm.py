@@ -50,7 +50,7 @@ def test_algorithm_1_trains_the_reward_first_and_the_policy_on_that_reward_alone
     learner: Any = SimpleNamespace(
         featurise=log.part("featurise"),
         demos=SimpleNamespace(sample=log.part("expert")),
-        discriminator=SimpleNamespace(update=log.part("d_update"), rewards=log.part("rewards"), reward_fn="reward_fn"),
+        discriminator=SimpleNamespace(update=log.part("d_update"), rewards=log.part("rewards")),
         policy=SimpleNamespace(update=log.part("p_update"), net="net"),
     )
     source: Any = SimpleNamespace(take=log.part("take"))
@@ -61,7 +61,7 @@ def test_algorithm_1_trains_the_reward_first_and_the_policy_on_that_reward_alone
         ("expert", SMALL.discriminator.batch),
         ("d_update", "expert", "featurise", "net"),
         ("rewards", "featurise", 4),
-        ("p_update", "featurise", "rewards", "reward_fn"),
+        ("p_update", "featurise", "rewards"),
         ("observe", 3, {"d_update": 1.0, "p_update": 1.0}),
     ]
 

@@ -131,6 +131,7 @@ def test_what_is_learned_from_has_no_place_for_an_outcome() -> None:
         "rewards",
         "policy_version",
         "reward_version",
+        "sampled",
     }
     assert {field.name for field in fields(Example)} == {"trajectory", "features"}
     assert {field.name for field in fields(Step)} == {"features", "action"}

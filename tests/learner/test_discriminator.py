@@ -79,12 +79,13 @@ def test_rewards_too_old_are_computed_again_by_the_same_function(demonstrations:
     mixed = scored(demonstrations[:2], 4) + scored(demonstrations[2:5], 3)
     rewards = mind.discriminator.rewards(mind.featurise(mixed), version=5)
     fresh = mind.discriminator.model.score(mixed)
-    assert [r.tolist() for r in rewards[:2]] == [[9.0] * len(t) for t in mixed[:2]]
+    assert [r.flatten().tolist() for r in rewards[:2]] == [[9.0] * len(t) for t in mixed[:2]]
     for got, wanted in zip(rewards[2:], fresh[2:], strict=True):
-        np.testing.assert_allclose(got.numpy(), wanted, atol=1e-5)
+        np.testing.assert_allclose(got.flatten().numpy(), wanted, atol=1e-5)
     exposed = generate_latest(metrics.registry).decode()
-    assert 'giirl_rewards_used_total{source="service"} 2.0' in exposed
-    assert 'giirl_rewards_used_total{source="learner"} 3.0' in exposed
+    steps = [len(t) for t in mixed]
+    assert f'giirl_rewards_used_total{{source="service"}} {float(sum(steps[:2]))}' in exposed
+    assert f'giirl_rewards_used_total{{source="learner"}} {float(sum(steps[2:]))}' in exposed
 
 
 @pytest.mark.parametrize("lag", [0, 1])

@@ -11,26 +11,33 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from giirl_core.nets.features import (
-    POSITION,
-    WORDS,
-    ActionBatch,
-    Batch,
-    Features,
-    collate,
-    collate_actions,
-    featurise,
-    rename,
-)
+from giirl_core.nets.batch import ActionBatch, Batch, collate, collate_actions, rename
+from giirl_core.nets.features import ELEMENT_WORDS, OPEN, POSITION, WORD, WORDS, Features, featurise
 from giirl_core.nets.language import FIRST_WORD, PADDING, UNKNOWN, load_vectors
 from giirl_core.nets.models import PolicyNet, RewardNet
 from giirl_core.types import Action, Goal, Page, Verb
-from tests.learner.samples import CASES, FLAT, batch_of, legal_actions, page, policy, reward_net, vectors
+from tests.learner.samples import (
+    CASES,
+    FLAT,
+    batch_of,
+    dense_matches,
+    legal_actions,
+    page,
+    policy,
+    reward_net,
+    vectors,
+)
 
 
 def close(one: Tensor, two: Tensor) -> bool:
     """Equal but for rounding."""
     return torch.allclose(one, two, rtol=1e-4, atol=1e-5)
+
+
+def evaluated(net: PolicyNet, batch: Batch, actions: ActionBatch) -> tuple[Tensor, Tensor, Tensor]:
+    """Log-probabilities, entropy and value."""
+    seen = net.encoder(batch)
+    return *net.evaluate(seen, actions), net.state_value(seen)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +59,7 @@ def test_padding_changes_no_output_of_either_net(
     for action in legal_actions(*case)[::5]:
         alone = batch_of(case), collate_actions([action])
         beside = padded, collate_actions([action, Action(verb=Verb.TYPE, element=9, start=0, end=39)])
-        for one, two in zip(acting.evaluate(*alone), acting.evaluate(*beside), strict=True):
+        for one, two in zip(evaluated(acting, *alone), evaluated(acting, *beside), strict=True):
             assert close(one[0], two[0])
         assert close(judging(*alone)[0], judging(*beside)[0])
 
@@ -60,11 +67,14 @@ def test_padding_changes_no_output_of_either_net(
 def test_what_stands_in_the_padding_is_never_read(acting: PolicyNet, judging: RewardNet) -> None:
     batch, actions = batch_of(*CASES), collate_actions([legal_actions(*case)[0] for case in CASES])
     spoiled = batch_of(*CASES)
+    padding = torch.ones(len(spoiled.element_page), dtype=torch.bool)
+    for b, (shown, _) in enumerate(CASES):
+        padding[spoiled.row[b, : len(shown)]] = False
+    assert padding.any()
     for name in ("token_words", "token_flags", "element_words", "element_tag", "element_classes", "element_flags"):
-        mask = spoiled.token_mask if name.startswith("token") else spoiled.element_mask
-        getattr(spoiled, name)[~mask] = 3
+        getattr(spoiled, name)[~spoiled.token_real if name.startswith("token") else padding] = 3
     assert not torch.equal(batch.token_words, spoiled.token_words)
-    for one, two in zip(acting.evaluate(batch, actions), acting.evaluate(spoiled, actions), strict=True):
+    for one, two in zip(evaluated(acting, batch, actions), evaluated(acting, spoiled, actions), strict=True):
         assert close(one, two)
     assert close(judging(batch, actions), judging(spoiled, actions))
 
@@ -73,10 +83,11 @@ def test_labels_that_differ_in_case_alone_look_different() -> None:
     seen = featurise(FLAT, Goal('Click on the "Ok" button.'), vectors())
     positions = np.arange(seen.element_flags.shape[1]) >= POSITION.stop
     exact, folded = seen.element_flags[0, positions], seen.element_flags[1, positions]
-    assert np.array_equal(seen.element_words[0], seen.element_words[1])
+    assert np.array_equal(seen.element_ids[0, ELEMENT_WORDS], seen.element_ids[1, ELEMENT_WORDS])
     assert not np.array_equal(exact, folded)
-    assert seen.matches[0, 0].any()
-    assert not seen.matches[0, 1].any()
+    matches = dense_matches(seen)
+    assert matches[0, 0].any()
+    assert not matches[0, 1].any()
     swapped = featurise(FLAT, Goal('Click on the "ok" button.'), vectors())
     assert np.array_equal(swapped.element_flags[0, positions], folded)
     assert np.array_equal(swapped.element_flags[1, positions], exact)
@@ -85,7 +96,7 @@ def test_labels_that_differ_in_case_alone_look_different() -> None:
 def test_a_match_points_at_exactly_the_words_that_the_text_repeats() -> None:
     shown = page("button:Ada Lovelace", "input_text", "button:Lovelace Ada", value=("", "Lovelace", ""))
     seen = featurise(shown, Goal('Enter "Ada Lovelace" here.'), vectors())
-    whole, any_word, held = seen.matches
+    whole, any_word, held = dense_matches(seen)
     assert whole.tolist() == [[0, 0, 0.5, 0.5, 0, 0, 0], [0] * 7, [0] * 7]
     assert any_word[2].tolist() == [0, 0, 0.5, 0.5, 0, 0, 0]
     assert held[1].tolist() == [0, 0, 0, 1, 0, 0, 0]
@@ -93,10 +104,11 @@ def test_a_match_points_at_exactly_the_words_that_the_text_repeats() -> None:
 
 def test_words_that_glove_lacks_still_match_by_their_letters() -> None:
     seen = featurise(page("button:Qwxzzqv", "button:Zzqvqwx"), Goal('Click "Qwxzzqv".'), load_vectors("glove"))
-    assert seen.token_words[2] == seen.element_words[0, 0] == seen.element_words[1, 0] == UNKNOWN
-    assert seen.matches[0, 0, 2] == 1.0
-    assert not seen.matches[0, 1].any()
-    assert seen.token_open[2]
+    assert seen.token_ids[2, WORD] == seen.element_ids[0, 0] == seen.element_ids[1, 0] == UNKNOWN
+    matches = dense_matches(seen)
+    assert matches[0, 0, 2] == 1.0
+    assert not matches[0, 1].any()
+    assert seen.token_ids[2, OPEN]
 
 
 def test_what_may_be_done_is_what_the_page_says() -> None:
@@ -127,9 +139,9 @@ def test_renaming_gives_a_word_the_same_new_name_in_goal_and_page(seed: int) -> 
     before, after = renamed(seed)
     for b in range(len(before)):
         names: dict[int, int] = {}
-        pairs = [(before.element_words[b].flatten(), after.element_words[b].flatten())]
-        opened = before.token_open[b]
-        pairs.append((before.token_words[b][opened], after.token_words[b][opened]))
+        rows, opened = before.element_page == b, (before.token_page == b) & before.token_open
+        pairs = [(before.element_words[rows].flatten(), after.element_words[rows].flatten())]
+        pairs.append((before.token_words[opened], after.token_words[opened]))
         for old, new in pairs:
             for was, now in zip(old.tolist(), new.tolist(), strict=True):
                 assert names.setdefault(was, now) == now
@@ -138,9 +150,11 @@ def test_renaming_gives_a_word_the_same_new_name_in_goal_and_page(seed: int) -> 
 
 def test_renaming_leaves_everything_but_words_as_it_was() -> None:
     before, after = renamed(0)
-    changed = {f.name for f in fields(Batch) if not torch.equal(getattr(before, f.name), getattr(after, f.name))}
+    names = [f.name for f in fields(Batch) if f.name != "blocks"]
+    changed = {name for name in names if not torch.equal(getattr(before, name), getattr(after, name))}
     assert changed == {"token_words", "element_words"}
-    closed = before.token_mask & ~before.token_open
+    assert before.blocks == after.blocks
+    closed = before.token_real & ~before.token_open
     assert torch.equal(before.token_words[closed], after.token_words[closed])
 
 
@@ -150,12 +164,12 @@ def test_words_to_be_typed_are_renamed_although_the_page_lacks_them() -> None:
     closed = collate_actions([Action(verb=Verb.CLICK, element=0)])
     typed = rename(batch, actions, 1.0, 0.0, torch.Generator().manual_seed(1))
     clicked = rename(batch, closed, 1.0, 0.0, torch.Generator().manual_seed(1))
-    assert typed.token_words[0, 0] != batch.token_words[0, 0]
-    assert clicked.token_words[0, 0] == batch.token_words[0, 0]
+    assert typed.token_words[0] != batch.token_words[0]
+    assert clicked.token_words[0] == batch.token_words[0]
 
 
 def test_new_names_are_many_and_some_are_words_that_the_table_lacks() -> None:
-    found: list[Tensor] = [renamed(seed)[1].element_words[2, :3, 0] for seed in range(100)]
+    found: list[Tensor] = [after.element_words[after.row[2, :3], 0] for after in (renamed(s)[1] for s in range(100))]
     words = torch.cat(found)
     assert len(words.unique()) > 100
     assert 0.03 < (words == UNKNOWN).float().mean() < 0.3
@@ -171,7 +185,7 @@ def test_chance_decides_how_many_pages_are_renamed() -> None:
 
 def test_jitter_moves_a_page_as_a_whole() -> None:
     before, after = renamed(0, jitter=0.1)
-    moved = (after.element_flags - before.element_flags)[2, :3]
+    moved = (after.element_flags - before.element_flags)[before.row[2, :3]]
     assert close(moved[:, :2], moved[:1, :2].expand(3, 2))
     assert 0 < moved[:, :2].abs().max() <= 0.1
     assert not moved[:, 2:].any()
@@ -179,6 +193,6 @@ def test_jitter_moves_a_page_as_a_whole() -> None:
 
 def test_a_text_longer_than_is_read_is_cut() -> None:
     seen = featurise(page("t:" + "word " * 30), Goal("Go."), vectors())
-    assert seen.element_words.shape == (1, WORDS)
-    assert (seen.element_words == vectors().row("word")).all()
+    assert seen.element_ids[:, ELEMENT_WORDS].shape == (1, WORDS)
+    assert (seen.element_ids[:, ELEMENT_WORDS] == vectors().row("word")).all()
     assert len(collate([seen])) == 1

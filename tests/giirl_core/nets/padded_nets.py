@@ -8,7 +8,9 @@ import torch
 from torch import Tensor, nn
 
 from giirl_core.config import NetConfig
-from tests.giirl_core.padded_features import (
+from giirl_core.nets.language import PADDING, Vectors
+from giirl_core.types import LEARNABLE_VERBS, NO_SPAN, Verb
+from tests.giirl_core.nets.padded_features import (
     CLASSES,
     ELEMENT_FLAGS,
     HEIGHT_PX,
@@ -20,10 +22,8 @@ from tests.giirl_core.padded_features import (
     Batch,
     without_overlap,
 )
-from giirl_core.nets.language import PADDING, Vectors
-from giirl_core.types import LEARNED, NO_SPAN, Verb
 
-VERBS = len(LEARNED)  # CLICK and TYPE, which are 0 and 1: the nets go on learning these alone
+VERBS = len(LEARNABLE_VERBS)  # CLICK and TYPE, which are 0 and 1: the nets go on learning these alone
 MASKED_LOGIT = -1e9  # the logit of what may not be chosen
 BESIDE_PX = 4.0  # what stands further away counts e times less
 LINES_APART = 3.0  # how much more a pixel up or down counts than one to the side

@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from giirl_core.config import NetConfig
-from giirl_core.nets.features import ActionBatch, collate_actions
-from giirl_core.nets.models import PolicyNet, nearness
+from giirl_core.nets.batch import ActionBatch, Batch, collate_actions, join, random_actions, random_logp
+from giirl_core.nets.encoder import nearness
+from giirl_core.nets.models import PolicyNet
 from giirl_core.types import Action, Goal, Page, Verb
-from learner.actor_critic import join, random_logp
-from tests.learner.samples import CASES, LONG, SHORT, batch_of, legal_actions, page, policy, vectors
+from tests.learner.samples import CASES, LONG, SHORT, batch_of, legal_actions, on_one_page, page, policy, vectors
 
 IDS = ["long", "short", "flat"]
 
@@ -29,11 +29,9 @@ def net() -> PolicyNet:
     return opinionated
 
 
-def many(actions: list[Action]) -> ActionBatch:
-    """All of them on one page."""
-    columns = [[getattr(action, name) for action in actions] for name in ("verb", "element", "start", "end")]
-    verb, element, start, end = (torch.tensor([column]) for column in columns)
-    return ActionBatch(verb=verb, element=element, start=start, end=end)
+def drawn(net: PolicyNet, batch: Batch, uniform: Tensor, *, random: bool) -> ActionBatch:
+    """By the net, or uniformly over what is legal."""
+    return random_actions(batch, uniform) if random else net.sample(net.encoder(batch), uniform)[0]
 
 
 def uniform(pages: int, count: int, seed: int = 0) -> Tensor:
@@ -42,7 +40,7 @@ def uniform(pages: int, count: int, seed: int = 0) -> Tensor:
 
 @pytest.mark.parametrize("case", CASES, ids=IDS)
 def test_the_probabilities_of_all_legal_actions_sum_to_one(case: tuple[Page, Goal], net: PolicyNet) -> None:
-    logp, _, _ = net.evaluate(batch_of(case), many(legal_actions(*case)))
+    logp, _ = net.evaluate(net.encoder(batch_of(case)), on_one_page(legal_actions(*case)))
     assert logp.exp().sum().item() == pytest.approx(1.0, abs=1e-5)
 
 
@@ -50,7 +48,7 @@ def test_the_probabilities_of_all_legal_actions_sum_to_one(case: tuple[Page, Goa
 def test_the_entropy_of_verb_and_element_is_that_of_the_enumeration(case: tuple[Page, Goal], net: PolicyNet) -> None:
     shown, goal = case
     actions = legal_actions(shown, goal)
-    logp, entropy, _ = net.evaluate(batch_of(case), many(actions))
+    logp, entropy = net.evaluate(net.encoder(batch_of(case)), on_one_page(actions))
     pairs: dict[tuple[Verb, int], float] = {}
     for action, p in zip(actions, logp[0].exp().tolist(), strict=True):
         pairs[action.verb, action.element] = pairs.get((action.verb, action.element), 0.0) + p
@@ -70,13 +68,13 @@ def test_the_entropy_of_verb_and_element_is_that_of_the_enumeration(case: tuple[
 def test_an_illegal_action_has_probability_zero(action: tuple[int, ...], net: PolicyNet) -> None:
     verb, element, start, end = torch.tensor(action).view(4, 1, 1)
     chosen = ActionBatch(verb=verb, element=element, start=start, end=end)
-    logp, _, _ = net.evaluate(batch_of((LONG, CASES[0][1])), chosen)
+    logp, _ = net.evaluate(net.encoder(batch_of((LONG, CASES[0][1]))), chosen)
     assert logp.exp().item() == 0.0
 
 
-@pytest.mark.parametrize("flat", [None, torch.tensor([False, True]).repeat(100)])
-def test_what_is_drawn_is_legal_and_words_never_end_before_they_start(flat: Tensor | None, net: PolicyNet) -> None:
-    actions, _ = net.sample(batch_of(*CASES), uniform(3, 200), flat)
+@pytest.mark.parametrize("random", [False, True])
+def test_what_is_drawn_is_legal_and_words_never_end_before_they_start(random: bool, net: PolicyNet) -> None:
+    actions = drawn(net, batch_of(*CASES), uniform(3, 200), random=random)
     for b, (shown, goal) in enumerate(CASES):
         legal = set(legal_actions(shown, goal))
         for m in range(200):
@@ -88,36 +86,31 @@ def test_what_is_drawn_is_legal_and_words_never_end_before_they_start(flat: Tens
 @pytest.mark.parametrize("uniform", [0.0, 1.0 - 2.0**-24])
 def test_the_first_and_the_last_of_all_draws_are_legal_too(uniform: float, net: PolicyNet) -> None:
     batch = batch_of((LONG, CASES[0][1]))
-    actions, logp = net.sample(batch, torch.full((1, 1, 3), uniform))
+    actions, logp = net.sample(net.encoder(batch), torch.full((1, 1, 3), uniform))
     assert actions.first()[0] in legal_actions(*CASES[0])
     assert logp.item() > -100
+    assert random_actions(batch, torch.full((1, 1, 3), uniform)).first()[0] in legal_actions(*CASES[0])
 
 
 def test_the_logp_of_a_draw_is_the_one_that_evaluation_gives(net: PolicyNet) -> None:
-    batch = batch_of(*CASES)
-    actions, logp = net.sample(batch, uniform(3, 50))
-    assert torch.allclose(logp, net.evaluate(batch, actions)[0], atol=1e-5)
+    seen = net.encoder(batch_of(*CASES))
+    actions, logp = net.sample(seen, uniform(3, 50))
+    assert torch.allclose(logp, net.evaluate(seen, actions)[0], atol=1e-5)
     assert {0, 1} <= set(actions.verb.flatten().tolist())
 
 
-def test_flat_draws_have_the_logp_of_chance(net: PolicyNet) -> None:
-    batch = batch_of(*CASES)
-    actions, logp = net.sample(batch, uniform(3, 50), torch.ones(50, dtype=torch.bool))
-    assert torch.allclose(logp, random_logp(batch, actions), atol=1e-5)
-
-
-@pytest.mark.parametrize("flat", [False, True])
-def test_actions_are_drawn_as_often_as_they_are_likely(flat: bool, net: PolicyNet) -> None:
+@pytest.mark.parametrize("random", [False, True])
+def test_actions_are_drawn_as_often_as_they_are_likely(random: bool, net: PolicyNet) -> None:
     case = (SHORT, Goal("Type ok."))
     batch, actions, count = batch_of(case), legal_actions(SHORT, Goal("Type ok.")), 4000
     grid = (torch.arange(count) + 0.5) / count  # stratified, so that counts are nearly exact
     order = torch.Generator().manual_seed(0)
     draws = torch.stack([grid[torch.randperm(count, generator=order)] for _ in range(3)], dim=1).unsqueeze(0)
-    drawn, _ = net.sample(batch, draws, torch.full((count,), flat))
-    chance = random_logp(batch, many(actions)) if flat else net.evaluate(batch, many(actions))[0]
-    for action, p in zip(actions, chance[0].exp().tolist(), strict=True):
-        same = (drawn.verb == action.verb) & (drawn.element == action.element)
-        same &= (drawn.start == action.start) & (drawn.end == action.end)
+    found, every = drawn(net, batch, draws, random=random), on_one_page(actions)
+    logp = random_logp(batch, every) if random else net.evaluate(net.encoder(batch), every)[0]
+    for action, p in zip(actions, logp[0].exp().tolist(), strict=True):
+        same = (found.verb == action.verb) & (found.element == action.element)
+        same &= (found.start == action.start) & (found.end == action.end)
         assert same.float().mean().item() == pytest.approx(p, abs=4 * (p * (1 - p) / count) ** 0.5 + 1e-3)
 
 
@@ -126,7 +119,7 @@ def test_the_greedy_action_is_the_likeliest_pair_and_then_the_likeliest_words(
     case: tuple[Page, Goal], net: PolicyNet
 ) -> None:
     actions = legal_actions(*case)
-    p = net.evaluate(batch_of(case), many(actions))[0][0].exp().tolist()
+    p = net.evaluate(net.encoder(batch_of(case)), on_one_page(actions))[0][0].exp().tolist()
     table: dict[Action, float] = dict(zip(actions, p, strict=True))
 
     def total(verb: Verb, element: int, start: int | None = None) -> float:
@@ -136,7 +129,7 @@ def test_the_greedy_action_is_the_likeliest_pair_and_then_the_likeliest_words(
             if (a.verb, a.element) == (verb, element) and (start is None or a.start == start)
         )
 
-    greedy = net.sample(batch_of(case), None)[0].first()[0]
+    greedy = net.sample(net.encoder(batch_of(case)), None)[0].first()[0]
     best = max(actions, key=lambda a: total(a.verb, a.element))
     assert (greedy.verb, greedy.element) == (best.verb, best.element)
     same = [a for a in actions if (a.verb, a.element) == (best.verb, best.element)]
@@ -147,7 +140,7 @@ def test_the_greedy_action_is_the_likeliest_pair_and_then_the_likeliest_words(
 @pytest.mark.parametrize("case", CASES, ids=IDS)
 def test_the_probabilities_of_chance_sum_to_one_by_enumeration(case: tuple[Page, Goal]) -> None:
     beside = batch_of(case, *CASES)  # padding must not count
-    actions = many(legal_actions(*case))
+    actions = on_one_page(legal_actions(*case))
     rows = [getattr(actions, name).expand(len(beside), -1) for name in ("verb", "element", "start", "end")]
     verb, element, start, end = rows
     logp = random_logp(beside, ActionBatch(verb=verb, element=element, start=start, end=end))[0]
@@ -156,7 +149,7 @@ def test_the_probabilities_of_chance_sum_to_one_by_enumeration(case: tuple[Page,
 
 def test_joining_puts_the_action_taken_first() -> None:
     taken = collate_actions([Action(verb=Verb.TYPE, element=3, start=1, end=2)])
-    both = join(taken, many([Action(verb=Verb.CLICK, element=1), Action(verb=Verb.CLICK, element=2)]))
+    both = join(taken, on_one_page([Action(verb=Verb.CLICK, element=1), Action(verb=Verb.CLICK, element=2)]))
     assert both.element.tolist() == [[3, 1, 2]]
     assert both.verb.tolist() == [[1, 0, 0]]
     assert both.start.tolist() == [[1, -1, -1]]
@@ -171,11 +164,11 @@ def labels(first: str, second: str) -> Page:
 
 
 def test_what_is_beside_an_element_is_its_nearest_leaf_in_the_same_line() -> None:
-    near = nearness(batch_of((labels("Ok", "No"), Goal("Select Ok")), (SHORT, Goal("Type ok."))))
+    (near,) = nearness(batch_of((labels("Ok", "No"), Goal("Select Ok")), (SHORT, Goal("Type ok."))))
     assert near[0].argmax(1).tolist()[1:] == [2, 1, 4, 3]
     assert near[0].max(1).values[1:].min() > 0.8
     assert near.diagonal(dim1=1, dim2=2).abs().sum() == 0
-    assert near[0, :, 0].sum() == 0  # a group is no leaf
+    assert near[0, :, 0].sum() == 0  # a group is not a leaf
     assert near[1, :, 2:].sum() == 0  # nor is what pads a smaller page
 
 
@@ -184,5 +177,5 @@ def test_a_net_may_read_a_box_with_its_label_alone(beside: bool) -> None:
     goal = Goal("Select Ok")
     torch.manual_seed(0)
     encoder = PolicyNet(vectors(), NetConfig(width=16, adjacent_elements=beside, element_attention=False)).encoder
-    one, other = (encoder(batch_of((labels(*text), goal))).elements[0, 1] for text in (("Ok", "No"), ("No", "Ok")))
+    one, other = (encoder(batch_of((labels(*text), goal))).elements[1] for text in (("Ok", "No"), ("No", "Ok")))
     assert torch.allclose(one, other, atol=1e-6) is not beside
