@@ -27,9 +27,10 @@ One connection (DEALER to ROUTER, see `transport`), from start to end:
 
 Messages of the actor carry a `Stamp`. Hello, heartbeat and bye are notices (`Notice`).
 
-Flow control: a grant has a `limit`, and the actor sends only sequences below it. The learner raises the limit as it
-takes episodes from its queue. An actor with too many episodes that are not acked stops playing until they are. So does
-an actor whose copies take too much memory; before that, the flag `full` in its notices asks for a checkpoint.
+Flow control: a grant has a `limit`. The actor starts only episodes whose sequence will be below it, and sends only those.
+The learner raises the limit as it takes episodes from its queue, so that none is played that would be stale when its
+turn comes. An actor whose copies take too much memory starts none either; before that, the flag `full` in its notices
+asks for a checkpoint.
 
 Lost messages: notices and grants carry the complete state, not changes, so a lost or repeated one does no harm. A
 connection keeps the order of its messages. Therefore, when a grant answers a notice that was sent after an episode but
@@ -105,7 +106,7 @@ class Grant:
     acked: tuple[int, ...] = ()  # sequences above the low watermark that are acked, too
     committed: int  # every sequence below it is committed: the actor may delete its copy
     settled: int  # every incarnation below it is settled: the actor may delete its count
-    limit: int  # the actor may send the sequences below it
+    limit: int  # the actor may start and send the sequences below it
 
     def is_acked(self, sequence: int) -> bool:
         return sequence < self.low_watermark or sequence in self.acked
