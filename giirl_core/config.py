@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
+
+from giirl_core.algorithms import ALGORITHMS, WorldName, algorithm_names
 
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -185,6 +187,12 @@ class GridConfig:
     measure_every: Positive = 5  # iterations between exact measurements of the policy
 
 
+def _known_algorithm(name: str) -> str:
+    if name not in ALGORITHMS:
+        raise ValueError(f"wanted {algorithm_names()}")
+    return name
+
+
 DEFAULT_TASKS = ("click-test", "click-test-2", "click-button", "enter-text")
 
 
@@ -193,11 +201,11 @@ class Config:
     """Everything a run needs to know."""
 
     run: str = ""  # folder of the run; runs/NAME-TIME when empty
-    world: Literal["miniwob", "gridcraft"] = "miniwob"
+    world: WorldName = "miniwob"
     seed: Annotated[int, Field(ge=0, lt=1 << 16)] = 0
     runtime: Literal["serial", "local", "ray"] = "local"
     browser: Literal["chrome", "fake"] = "chrome"
-    algorithm: Literal["giirl", "cloning", "frozen", "true_reward", "sqil", "iq_learn"] = "giirl"
+    algorithm: Annotated[str, AfterValidator(_known_algorithm)] = "giirl"
     reward_from: str = ""  # with "frozen": the run whose reward a fresh policy is trained on
     tasks: Annotated[tuple[str, ...], Field(min_length=1)] = DEFAULT_TASKS
     held_out_goals: Annotated[float, Field(ge=0, lt=1)] = 0.0  # share of goals that training never sees
@@ -220,9 +228,11 @@ class Config:
     grid: GridConfig = GridConfig()
 
     def __post_init__(self) -> None:
-        if self.world == "gridcraft" and self.algorithm not in ("giirl", "cloning"):
-            raise ValueError(f"algorithm {self.algorithm!r} does not play gridcraft: wanted 'giirl' or 'cloning'")
-        if (self.algorithm == "frozen") != bool(self.reward_from):
+        spec = ALGORITHMS[self.algorithm]
+        if self.world not in spec.worlds:
+            wanted = algorithm_names(world=self.world)
+            raise ValueError(f"algorithm {self.algorithm!r} does not play {self.world}: wanted {wanted}")
+        if (spec.reward == "frozen") != bool(self.reward_from):
             raise ValueError(
                 f"algorithm is {self.algorithm!r} and reward_from {self.reward_from!r}: "
                 "'frozen' goes with reward_from=RUN, and nothing else does"

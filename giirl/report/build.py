@@ -14,7 +14,7 @@ from giirl.report.render import render, scale_view, strip_view
 from giirl.run.evaluate import THESIS
 from giirl.run.folder import RunFolder
 from giirl.run.grid import layouts_of, open_run, reward_panels
-from giirl.run.train import REWARDING
+from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.config_file import changed, dump_config
 from giirl_core.files import atomic_write
@@ -44,7 +44,7 @@ def report(folder: RunFolder, config: Config, out: Path, pages: int, command: st
         groups=groups,
         strips=[(task, [strip_view(strip, scale) for strip in some]) for task, some in strips.items()],
         strips_words=words,
-        scale=scale_view(scale) if config.algorithm in REWARDING else None,
+        scale=scale_view(scale) if ALGORITHMS[config.algorithm].has_learned_reward else None,
         settings=dump_config(config),
         command=command,
     )
@@ -59,7 +59,7 @@ def inspect(
     checkpoint = latest_checkpoint(folder.checkpoints)
     with Inspector(config, *_weights(folder, config, checkpoint), Metrics()) as inspector:
         strip = inspector.page(spec, goal)
-    scale, reward = scale_of(config), config.algorithm in REWARDING
+    scale, reward = scale_of(config), ALGORITHMS[config.algorithm].has_learned_reward
     if strip.frames[0].other is None:
         lead = "Its instruction names no element that another could stand in for; say one with --goal."
     else:
@@ -105,7 +105,7 @@ def _strips(
     ]
     if config.browser == "fake":
         words.append("The fake browser draws no screenshots: its elements are shown as boxes.")
-    if config.algorithm not in REWARDING:
+    if not ALGORITHMS[config.algorithm].has_learned_reward:
         words.append(_no_reward(config))
     return strips, " ".join(words)
 
@@ -115,7 +115,7 @@ def _no_reward(config: Config) -> str:
 
 
 def _weights(folder: RunFolder, config: Config, checkpoint: Path) -> tuple[Weights, Weights | None]:
-    reward = folder.weights(checkpoint, "reward") if config.algorithm in REWARDING else None
+    reward = folder.weights(checkpoint, "reward") if ALGORITHMS[config.algorithm].has_learned_reward else None
     return folder.weights(checkpoint, "policy"), reward
 
 
@@ -141,7 +141,9 @@ def _demonstrations(folder: RunFolder, config: Config, result: dict[str, Any] | 
 
 def _maps(folder: RunFolder, config: Config) -> Maps | None:
     """A grid's learned reward on the first layout, under every instruction of the training."""
-    if config.world != "gridcraft" or config.algorithm not in REWARDING or not folder.checkpoints.exists():
+    if config.world != "gridcraft" or not ALGORITHMS[config.algorithm].has_learned_reward:
+        return None
+    if not folder.checkpoints.exists():
         return None
     learner = open_run(config, latest_checkpoint(folder.checkpoints)).learner
     layout = layouts_of(config.grid)[0]

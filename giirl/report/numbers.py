@@ -9,6 +9,7 @@ from typing import Any
 
 from giirl.report.charts import Chart, Level, Line, draw_chart
 from giirl.statistics import WINDOW
+from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 
 ACCURACY = "d_accuracy_"
@@ -57,7 +58,7 @@ class Group:
 
 def lead_of(config: Config, points: Points, result: Result | None) -> str:
     """The run in one sentence."""
-    what = "GIIRL" if config.algorithm == "giirl" else config.algorithm.replace("_", " ").capitalize()
+    what = ALGORITHMS[config.algorithm].title
     where = f"{len(config.tasks)} MiniWoB tasks" if config.world == "miniwob" else "LanguageGridCraft"
     if config.world == "miniwob" and config.browser == "fake":
         where = f"{len(config.tasks)} tasks of the fake browser, which are no result"

@@ -11,6 +11,7 @@ from actors.browser import open_browser
 from actors.rollouts import Schedule, play
 from browser_farm.experts import expert
 from browser_farm.human.recordings import ImportReport, find_recordings, import_recordings
+from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
@@ -18,13 +19,11 @@ from giirl_core.progress import Display
 from giirl_core.types import Episode, Purpose
 from giirl_core.wire.messages import read_episodes
 
-WITHOUT_DEMONSTRATIONS = ("frozen", "true_reward")  # whose reward is there already
-
 
 def gather(config: Config, metrics: Metrics, display: Display) -> list[Episode]:
     """The demonstrations that a config asks for: successful ones, at most `demos.per_task` of each task, none of a
     goal that is held out; a share of them may then be spoiled. None at all where nothing would be learned from them."""
-    if config.algorithm in WITHOUT_DEMONSTRATIONS and not config.policy.bc_warmup_updates:
+    if not ALGORITHMS[config.algorithm].needs_demonstrations and not config.policy.bc_warmup_updates:
         return []
     kept = chosen(*_offered(config, metrics, display), config)
     return spoil(kept, config, metrics, display) if config.demos.noise_fraction else kept

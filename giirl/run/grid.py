@@ -25,17 +25,12 @@ from gridcraft.instructions import Pair, ordered_pairs, plain_sentence
 from gridcraft.layouts import Layout, named_layout, random_layout
 from gridcraft.reward_metrics import state_mean
 from gridcraft.world import build_world
-from learner.algorithms import behavioural_cloning
+from learner.algorithms import LOOPS
 from learner.checkpoint import save_checkpoint
-from learner.giirl import Observe, giirl
 from learner.grid.learner import GridLearner
 from learner.grid.steps import GridSource
 
 PROGRESS = "grid.json"
-LOOPS: dict[str, Callable[[Config, GridLearner, GridSource, Iterator[int], Observe], None]] = {
-    "giirl": giirl,
-    "cloning": behavioural_cloning,
-}
 LATE = 2 / 3  # of a run: from here on the policy may not get worse again
 
 

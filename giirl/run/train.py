@@ -21,17 +21,17 @@ from giirl.run.serial import SerialRuntime
 from giirl.run.workers import WorkersRuntime
 from giirl.signals import Stopped, raise_if, stopping
 from giirl.statistics import WINDOW, lowest_window
+from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.config_file import dump_config
 from giirl_core.metrics import Metrics, write_targets
 from giirl_core.progress import Display, Job
 from giirl_core.types import Episode, Trajectory, Weights
-from learner.algorithms import ALGORITHMS
+from learner.algorithms import LOOPS
 from learner.checkpoint import latest_checkpoint, save_checkpoint
 from learner.learner import Learner
 
 COUNTS = "counts.json"  # of a checkpoint
-REWARDING = ("giirl", "frozen")  # algorithms that end with a learned reward
 
 
 class Runtime(Protocol):
@@ -65,7 +65,7 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
         learner = Learner(config, demonstrations, metrics)
         if resume is not None:
             learner.load(resume)
-        elif config.algorithm == "frozen":
+        elif ALGORITHMS[config.algorithm].reward == "frozen":
             learner.take_reward(reward_of_run(Path(config.reward_from)))
         else:
             learner.bc_warmup()
@@ -135,7 +135,7 @@ class Session:
                 self._save()  # from here on the run can be resumed
             self._display.say(f"success is that of the last {WINDOW} episodes of {', '.join(config.tasks)}")
             with self._display.job("training", config.iterations, learner.version) as self._job:
-                ALGORITHMS[config.algorithm](config, learner, self, self._steps(), self._observe)
+                LOOPS[config.algorithm](config, learner, self, self._steps(), self._observe)
             raise_if(self._stop)
         except Stopped:
             self._runtime.drain()
@@ -159,8 +159,9 @@ class Session:
         if not self._fresh:
             raise Stopped
         self._whole = False
-        told = self._config.algorithm == "true_reward"
-        return [pay_true(episode) if told else episode.trajectory for episode in self._fresh]
+        if ALGORITHMS[self._config.algorithm].reward == "environment":
+            return [with_env_reward(episode) for episode in self._fresh]
+        return [episode.trajectory for episode in self._fresh]
 
     def lowest_last_third(self) -> dict[str, float | None]:
         """Per task, the lowest success over WINDOW sampled episodes in a row in the last third of training."""
@@ -242,12 +243,12 @@ class Session:
 def reward_of_run(path: Path) -> Weights:
     """The reward that an earlier run learned; ValueError when it learned none."""
     folder, config = RunFolder.open(path)
-    if config.algorithm not in REWARDING:
-        raise ValueError(f"{path} learned no reward: its algorithm is {config.algorithm!r}, wanted {REWARDING[0]!r}")
+    if not ALGORITHMS[config.algorithm].has_learned_reward:
+        raise ValueError(f"{path} learned no reward: its algorithm is {config.algorithm!r}, wanted 'giirl'")
     return folder.weights(latest_checkpoint(folder.checkpoints), "reward")
 
 
-def pay_true(episode: Episode) -> Trajectory:
+def with_env_reward(episode: Episode) -> Trajectory:
     """The trajectory with the page's own sparse reward: the baseline that is told what the others have to learn."""
     rewards = np.zeros(len(episode.trajectory), dtype=np.float32)
     rewards[-1] = episode.outcome.raw_reward

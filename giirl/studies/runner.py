@@ -18,6 +18,7 @@ from typing import Any
 
 from giirl.run.folder import RunFolder
 from giirl.statistics import Score
+from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.config_file import changed, dump_config, load_config
 from giirl_core.progress import Display
@@ -161,7 +162,7 @@ def evaluate_rewards(runs: Sequence[Planned], display: Display) -> None:
 
     for run in runs:
         folder = RunFolder(run.folder)
-        if run.config.algorithm != "giirl" or (folder.path / REWARD_EVAL).exists():
+        if not ALGORITHMS[run.config.algorithm].learns_reward or (folder.path / REWARD_EVAL).exists():
             continue
         reward = reward_of_run(folder.path)
         found: dict[str, Any] = {"sensitivity": sensitivity(run.config, reward, GOAL_SWAP_PAGES, Metrics(), display)}

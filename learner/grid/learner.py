@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config, DiscriminatorConfig
 from giirl_core.nets.parameters import load_net, load_optimiser, seal_net, seal_optimiser
 from giirl_core.nets.reward import reward_of
@@ -244,7 +245,7 @@ class GridLearner:
     @property
     def acting(self) -> QNet:
         """The policy that plays: what Algorithm 1 improves, or what was cloned."""
-        return self.cloner.net if self.config.algorithm == "cloning" else self.policy.net
+        return self.policy.net if ALGORITHMS[self.config.algorithm].uses_reward else self.cloner.net
 
     def nets(self) -> dict[str, nn.Module]:
         """What was learned, by name."""
