@@ -9,7 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from actors.agents import Agent, Decision
+from giirl_core.config import Config
 from giirl_core.metrics import Metrics, waiting
+from giirl_core.progress import Job
 from giirl_core.types import (
     Action,
     Browser,
@@ -129,6 +131,34 @@ def play(
         if not slots:  # what was lost last is played again
             again = {tab: spec for tab in range(browser.tabs) if (spec := schedule.next(tab)) is not None}
             slots = {tab: _open(seen, schedule, tab) for tab, seen in browser.reset(again).items()}
+
+
+def play_pages(
+    config: Config,
+    browser: Browser,
+    agent: Agent,
+    purpose: Purpose,
+    pages: int,
+    metrics: Metrics,
+    *,
+    tasks: Sequence[str] = (),
+    first: int = 0,
+    job: Job | None = None,
+    note: str = "",
+) -> list[Episode]:
+    """Play pages `first` to `first + pages - 1` of this purpose, of each task, and return the episodes that ended.
+
+    `tasks` are those of the config when empty. `job` counts the episodes, with `note` beside the number.
+    """
+    schedule = Schedule(
+        tasks or config.tasks, browser.tabs, purpose=purpose, run_seed=config.seed, first=first, quota=pages
+    )
+    episodes: list[Episode] = []
+    for ended in play(browser, agent, schedule, step_limit=config.step_limit, metrics=metrics):
+        episodes += ended
+        if job is not None:
+            job.advance(len(ended), note)
+    return episodes
 
 
 def _open(seen: Observation, schedule: Schedule, tab: int) -> Slot:

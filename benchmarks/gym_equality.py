@@ -9,7 +9,6 @@ ours is where it matters. An episode ends at its first difference, since what fo
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import platform
 import shutil
@@ -30,6 +29,7 @@ from browser_farm import tasks as miniwob
 from browser_farm.gym.adapter import MiniWoBAdapter
 from browser_farm.gym.env import MiniWoB
 from browser_farm.gym.slot import EnvSlot
+from giirl_core.files import write_json
 
 ELEMENT_ACTIONS = ("NONE", "CLICK_ELEMENT", "FOCUS_ELEMENT_AND_TYPE_TEXT", "FOCUS_ELEMENT_AND_TYPE_FIELD", "TYPE_TEXT")
 HAND_ACTIONS = ("CLICK_COORDS", "DBLCLICK_COORDS", "MOVE_COORDS", "SCROLL_DOWN_COORDS", "PRESS_KEY")
@@ -205,7 +205,7 @@ def main() -> None:
     ours.close()
     reference.env.close()
     if asked.json:
-        asked.json.write_text(json.dumps(summary(results), indent=1) + "\n")
+        write_json(asked.json, summary(results))
 
 
 def summary(results: dict[str, dict[str, Tally]]) -> dict[str, Any]:

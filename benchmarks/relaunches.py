@@ -23,7 +23,7 @@ import psutil
 
 from browser_farm.chrome import reaper
 from browser_farm.farm import ChromeFarm
-from giirl_core.files import atomic_write
+from giirl_core.files import write_json
 from giirl_core.progress import Display
 from giirl_core.types import Command, EpisodeSpec, Verb
 
@@ -82,8 +82,7 @@ def main() -> int:
     wanted = parser.parse_args()
     found = run(wanted.times, Path(tempfile.gettempdir()))
     if wanted.json is not None:
-        with atomic_write(wanted.json) as file:
-            file.write(json.dumps(found, indent=2).encode() + b"\n")
+        write_json(wanted.json, found)
     print(json.dumps(found))  # noqa: T201
     return 0 if all(found["after"][name] <= before for name, before in found["before"].items()) else 1
 

@@ -29,7 +29,7 @@ from benchmarks.sides import FIRST_SEED
 from browser_farm.chrome import reaper
 from browser_farm.experts import expert
 from browser_farm.farm import ChromeFarm
-from giirl_core.files import atomic_write
+from giirl_core.files import write_json
 from giirl_core.progress import Display
 from giirl_core.types import Command, EpisodeSpec, Observation
 
@@ -224,8 +224,7 @@ def main() -> int:
     wanted = parser.parse_args()
     found = run(wanted.episodes, wanted.every, wanted.tabs)
     if wanted.json is not None:
-        with atomic_write(wanted.json) as file:
-            file.write(json.dumps(found, indent=2).encode() + b"\n")
+        write_json(wanted.json, found)
     summary = {name: found[name] for name in ("episodes", "seconds", "outcomes", "restarts_by_cause")}
     print(json.dumps({**summary, "slowest_healed_s": found["faults"]["slowest_healed_s"]}))  # noqa: T201
     good = not found["rewards"]["wrong"] and found["memory"]["flat"] and found["faults"]["all_within_5_s"]

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Z_95 = 1.959963984540054
-WINDOW = 100  # training episodes in a row, of which the success is told
+WINDOW = 100  # last training episodes of a task, whose success a run reports
+STREAK = 50  # consecutive training episodes of a task, whose success a study compares with a level
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,6 +28,16 @@ class Score:
 
     def __add__(self, other: Score) -> Score:
         return Score(episodes=self.episodes + other.episodes, successes=self.successes + other.successes)
+
+    def row(self, digits: int = 4) -> dict[str, Any]:
+        """Episodes, success rate and the ends of its interval, for a JSON result."""
+        low, high = self.interval()
+        return {
+            "episodes": self.episodes,
+            "success": self.success,
+            "low": round(low, digits),
+            "high": round(high, digits),
+        }
 
     def interval(self) -> tuple[float, float]:
         """The 95 % score interval of a proportion (Wilson 1927)."""

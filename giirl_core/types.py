@@ -65,7 +65,7 @@ class Purpose(IntEnum):
     DEMONSTRATE = 2
     EVALUATE = 3
     INSPECT = 4
-    FLOOR = 5
+    RANDOM = 5
 
 
 def page_seed(purpose: Purpose, run_seed: int, index: int) -> int:

@@ -22,6 +22,8 @@ Rewards: TypeAlias = Any  # r(s_t, a_t | g) of every step of a batch
 RewardFn: TypeAlias = Any  # computes r(s, a | g) of any states and actions
 Net: TypeAlias = Any  # pi_theta
 
+EXPERT = "expert"  # the discriminator's positive source; its negative sources have the names of their settings
+ACCURACY = "d_accuracy_"  # and the name of a source: the fraction of its samples on the right side of D = 1/2
 Stats = dict[str, float]  # what an update reports: loss, accuracy, entropy and so on, by name
 Observe = Callable[[int, Stats], None]  # called after every step; publishes, reports and saves
 

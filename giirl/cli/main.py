@@ -14,23 +14,23 @@ from rich.table import Column, Table
 
 from giirl.cli.actors import actors
 from giirl.cli.bench import bench
-from giirl.cli.demos import demos, writable
+from giirl.cli.demos import demos
+from giirl.cli.options import JSON, RUN
 from giirl.cli.report import report
 from giirl.cli.reproduce import reproduce
 from giirl.cli.reproduce_web import commands
 from giirl.cli.reward import reward
 from giirl.doctor import checks
 from giirl.run.folder import RunFolder
+from giirl.run.worlds import world_of
 from giirl_core.config import Config
 from giirl_core.config_file import changed, dump_config, load_config
-from giirl_core.files import folder_lock
+from giirl_core.files import folder_lock, write_json
 from giirl_core.progress import Display
 
-RUN = click.argument("run", type=click.Path(path_type=Path))
 CONFIG = click.argument("config", required=False)
 OVERRIDES = click.argument("overrides", nargs=-1)
 RESUMABLE = ("iterations", "checkpoint_every", "keep_checkpoints", "evaluate.", "metrics.")
-JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write the result here.")
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -74,15 +74,10 @@ def train(
     CONFIG is a TOML file; without one the defaults hold. Any setting can be given as key=value, for example
     seed=1 tasks='["click-button"]' policy.entropy=0.2 run=runs/mine.
     """
-    from actors.browser import check_tasks
-    from giirl.run.evaluate import result_table
-    from giirl.run.grid import grid_table, train_grid
-    from giirl.run.train import train
     from giirl.signals import Stopped
     from learner.checkpoint import latest_checkpoint
 
     display = Display()
-    writable(json_file)
     path, changes = _split(config, overrides, runtime)
     if resume is not None:
         folder, settings = RunFolder.open(resume)
@@ -92,15 +87,14 @@ def train(
         display.say(f"resuming {folder.path} from {checkpoint.name}")
     else:
         settings, checkpoint = load_config(path, changes), None
-        if settings.world == "miniwob":
-            check_tasks(settings)
+        world_of(settings).check(settings)
         folder = RunFolder.create(settings, path.stem if path else "giirl")
         context.with_resource(folder_lock(folder.path))
         display.say(f"run folder {folder.path}, every setting in its {folder.config_file.name}")
         display.say(f"not the defaults: {' '.join(changed(settings)) or 'none'}")
-    grid = settings.world == "gridcraft"
+    world = world_of(settings)
     try:
-        result = (train_grid if grid else train)(settings, folder, checkpoint, display)
+        result = world.train(settings, folder, checkpoint, display)
     except Stopped:
         display.say(f"stopped and saved; to go on: giirl train --resume {folder.path}")
         sys.exit(130)
@@ -108,9 +102,9 @@ def train(
         if resume is None:
             folder.discard_unless_begun()
         raise
-    for target in (folder.result, *_some(json_file)):
-        folder.write_json(target, result)
-    display.table(grid_table(result) if grid else result_table(result))
+    for target in filter(None, (folder.result, json_file)):
+        write_json(target, result)
+    display.table(world.table(result))
     display.say(f"{result['env_steps']} environment steps, {result['seconds']:.0f} s; results in {folder.path}")
 
 
@@ -122,32 +116,18 @@ def evaluate(run: Path, overrides: tuple[str, ...], json_file: Path | None) -> N
     """Greedy success of a run's policy on fresh pages, with the random floor; or what it is worth in the grid."""
     import time
 
-    from actors.browser import check_tasks
-    from giirl.run.evaluate import evaluate, result_table
-    from giirl.run.grid import evaluate_grid, grid_table, open_run
-    from giirl_core.metrics import Metrics
     from learner.checkpoint import latest_checkpoint
 
-    writable(json_file)
     folder, _ = RunFolder.open(run)
     config = load_config(folder.config_file, overrides)
-    checkpoint = latest_checkpoint(folder.checkpoints)
-    since_s, points = time.monotonic(), folder.points()
-    result: dict[str, Any]
-    if config.world == "gridcraft":
-        result = evaluate_grid(config, open_run(config, checkpoint))
-    else:
-        check_tasks(config)
-        result = {
-            "tasks": evaluate(config, folder.weights(checkpoint, "policy"), Metrics(), Display()),
-            "env_steps": points[-1]["env_steps"] if points else 0,
-            "algorithm": config.algorithm,
-            "seed": config.seed,
-        }
+    checkpoint, world = latest_checkpoint(folder.checkpoints), world_of(config)
+    since_s = time.monotonic()
+    world.check(config)
+    result = world.evaluate(config, folder, checkpoint, Display())
     result["seconds"] = round(time.monotonic() - since_s, 1)
-    for path in _some(json_file):
-        folder.write_json(path, result)
-    Display().table(grid_table(result) if config.world == "gridcraft" else result_table(result))
+    if json_file is not None:
+        write_json(json_file, result)
+    Display().table(world.table(result))
 
 
 giirl.add_command(actors)
@@ -183,10 +163,6 @@ def _split(config: str | None, overrides: tuple[str, ...], runtime: str | None) 
     if runtime is not None:
         changes.append(f"runtime={runtime}")
     return path, changes
-
-
-def _some(path: Path | None) -> list[Path]:
-    return [] if path is None else [path]
 
 
 def main() -> Never:

@@ -10,7 +10,7 @@ import numpy as np
 from actors.agents import PolicyAgent
 from actors.browser import open_browser
 from browser_farm.farm import ChromeFarm
-from giirl.analysis.swaps import renamed
+from giirl.analysis.swaps import swap_goal
 from giirl.report.element_rewards import EpisodeView, Frame, ScoredPage, value_elements
 from giirl.report.overlay import Box, window_of
 from giirl_core.config import Config
@@ -59,7 +59,7 @@ class Inspector:
         if not 0 <= spec.seed < LARGEST_SEED:
             raise ValueError(f"the page seed {spec.seed} is out of range: wanted 0 to 2**53 - 1")
         seen = self._open(spec)
-        swap = renamed(seen)
+        swap = swap_goal(seen)
         frame = self._look(seen, other or (swap.goal if swap else None))
         return EpisodeView(task=spec.task, seed=spec.seed, frames=(frame,))
 
@@ -69,7 +69,7 @@ class Inspector:
     def _play(self, spec: EpisodeSpec, others: Sequence[Goal]) -> EpisodeView:
         seen: Observation | None = self._open(spec)
         assert seen is not None
-        swap = renamed(seen)
+        swap = swap_goal(seen)
         other = swap.goal if swap is not None else next(iter(others), None)
         frames: list[Frame] = []
         while True:

@@ -81,10 +81,6 @@ class RunFolder:
         with atomic_write(path) as file:
             file.write(text.encode())
 
-    def write_json(self, path: Path, result: Mapping[str, Any]) -> None:
-        """A result, readable by people and programs."""
-        self.write(path, json.dumps(result, indent=2) + "\n")
-
     def wanted_actors(self) -> int:
         """How many actors were asked for since the run began, 0 when nobody asked."""
         text = self.wanted.read_text() if self.wanted.exists() else ""

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
-from giirl.run.demonstrations import gather
+from giirl.run.demonstrations import collect_demonstrations
 from giirl.run.evaluate import evaluate
 from giirl.run.folder import RunFolder
 from giirl.run.serial import SerialRuntime
@@ -60,7 +60,7 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
     own = metrics.serve(config.metrics.host, config.metrics.port)
     try:
         if resume is None:
-            folder.save_demonstrations(gather(config, metrics, display))
+            folder.save_demonstrations(collect_demonstrations(config, metrics, display))
         demonstrations = [episode.trajectory for episode in folder.load_demonstrations()]
         learner = Learner(config, demonstrations, metrics)
         if resume is not None:

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-import json
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from giirl.run.folder import RunFolder
-from giirl.statistics import Score
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
-from giirl_core.config_file import changed, dump_config, load_config
+from giirl_core.config_file import dump_config, load_config
+from giirl_core.files import write_json
 from giirl_core.progress import Display
 from learner.checkpoint import LATEST, latest_checkpoint
 
@@ -29,8 +27,6 @@ VERSION = importlib.metadata.version("giirl")
 REWARD_EVAL = "reward_eval.json"  # in a run's folder: what its reward answered
 TRANSFER = "transfer.json"
 GOAL_SWAP_TASK, GOAL_SWAP_PAGES = "click-button", 500
-STREAK = 50  # episodes of a task in a row
-POINTS = 60  # of a curve that is kept
 STOP_S = 60.0  # for a run that was told to stop, to save and end
 
 
@@ -168,7 +164,7 @@ def evaluate_rewards(runs: Sequence[Planned], display: Display) -> None:
         found: dict[str, Any] = {"sensitivity": sensitivity(run.config, reward, GOAL_SWAP_PAGES, Metrics(), display)}
         if GOAL_SWAP_TASK in run.config.tasks:
             found["goal_swap"] = goal_swap(run.config, reward, GOAL_SWAP_TASK, GOAL_SWAP_PAGES, Metrics(), display)
-        folder.write_json(folder.path / REWARD_EVAL, found)
+        write_json(folder.path / REWARD_EVAL, found)
 
 
 def measure_transfer(runs: Sequence[Planned], display: Display) -> None:
@@ -181,81 +177,4 @@ def measure_transfer(runs: Sequence[Planned], display: Display) -> None:
         if run.variant.transfer_tasks and not (folder.path / TRANSFER).exists():
             policy = folder.weights(latest_checkpoint(folder.checkpoints), "policy")
             config = replace(run.config, tasks=run.variant.transfer_tasks)
-            folder.write_json(folder.path / TRANSFER, evaluate(config, policy, Metrics(), display))
-
-
-def record(run: Planned, *, evaluates_reward: bool = False) -> dict[str, Any]:
-    """What a run that is done has to tell: its result, its curve, what its reward answered if `evaluates_reward`."""
-    folder = RunFolder(run.folder)
-    points = folder.points()
-    result: dict[str, Any] = json.loads(folder.result.read_text())
-    if run.variant.transfer_tasks:
-        result["tasks"] |= json.loads((folder.path / TRANSFER).read_text())
-    answers = folder.path / REWARD_EVAL
-    return {
-        "variant": run.variant.name,
-        "giirl": VERSION,
-        "settings": [one for one in changed(run.config) if not one.startswith("reward_from=")],
-        **({"reward_of": run.variant.reward_of} if run.variant.reward_of else {}),
-        **result,
-        **(json.loads(answers.read_text()) if evaluates_reward and answers.exists() else {}),
-        "episodes_to": {f"{share:g}": _reached(points, share, "episodes") for share in (0.95, 0.99)},
-        "env_steps_to": {f"{share:g}": _reached(points, share, "env_steps") for share in (0.95, 0.99)},
-        "curve": _shortened(points),
-    }
-
-
-def _recent(points: Sequence[dict[str, Any]]) -> list[dict[str, float | None]]:
-    """At every point, the success of the last STREAK training episodes of each task; None of fewer."""
-    last: dict[str, deque[int]] = {}
-    found = []
-    for point in points:
-        for task, outcomes in point["outcomes"].items():
-            last.setdefault(task, deque(maxlen=STREAK)).extend(outcomes)
-        found.append({task: sum(some) / STREAK if len(some) == STREAK else None for task, some in last.items()})
-    return found
-
-
-def _reached(points: Sequence[dict[str, Any]], share: float, unit: str) -> dict[str, int | None]:
-    """Per task, how many episodes or steps of all tasks went before STREAK of its own in a row reached `share`."""
-    reached: dict[str, int | None] = {}
-    for point, recent in zip(points, _recent(points), strict=True):
-        for task, success in recent.items():
-            if reached.setdefault(task, None) is None and success is not None and success >= share:
-                reached[task] = point[unit]
-    return reached
-
-
-def _shortened(points: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """At most POINTS of the curve, evenly."""
-    every = max(1, -(-len(points) // POINTS))
-    return [
-        {"env_steps": point["env_steps"], "episodes": point["episodes"], "success": recent}
-        for number, (point, recent) in enumerate(zip(points, _recent(points), strict=True), start=1)
-        if number % every == 0 or number == len(points)
-    ]
-
-
-def pooled(records: Sequence[dict[str, Any]], group: str = "") -> dict[str, dict[str, Any]]:
-    """Per task, the episodes of all seeds together, with the Wilson interval of those; `group` names a part of them."""
-    tasks: dict[str, dict[str, Any]] = {}
-    for task in records[0]["tasks"]:
-        rows = [record["tasks"][task] for record in records]
-        parts = [row[group] for row in rows] if group else rows
-        score = sum((_score(part["episodes"], part["success"]) for part in parts), Score(episodes=0, successes=0))
-        floor = sum((_score(r["random_episodes"], r["random"]) for r in rows), Score(episodes=0, successes=0))
-        low, high = score.interval()
-        tasks[task] = {
-            "episodes": score.episodes,
-            "success": round(score.success, 5),
-            "low": round(low, 5),
-            "high": round(high, 5),
-            "random": round(floor.success, 5),
-            "random_episodes": floor.episodes,
-            "worst_seed": min(part["success"] for part in parts),
-        }
-    return tasks
-
-
-def _score(episodes: int, success: float) -> Score:
-    return Score(episodes=episodes, successes=round(episodes * success))
+            write_json(folder.path / TRANSFER, evaluate(config, policy, Metrics(), display))

@@ -110,7 +110,7 @@ FOLLOWERS = (
 class Study:
     """What is run, for whom; `pages` are the fresh ones a task and seed that each policy is measured on."""
 
-    what: str
+    title: str
     variants: tuple[Variant, ...]
     settings: tuple[str, ...] = ()
     pages: int = 200
@@ -181,25 +181,25 @@ def _families() -> tuple[Variant, ...]:
 
 STUDIES = {
     "table-4.1": Study(
-        what="Success on the thesis's four web tasks", variants=(GIIRL,), pages=1000, evaluates_reward=True
+        title="Success on the thesis's four web tasks", variants=(GIIRL,), pages=1000, evaluates_reward=True
     ),
-    "figure-4.7": Study(what="True success while a reward is learned", variants=(GIIRL,), curves=True),
-    "figure-4.8": Study(what="GIIRL and cloning as they train", variants=(GIIRL, CLONING, BARE_CLONING), curves=True),
-    "meaning": Study(what="Whether the reward reads the instruction", variants=(GIIRL,), evaluates_reward=True),
-    "defaults": Study(what="What the defaults are worth", variants=DEFAULTS, evaluates_reward=True, tuning=True),
-    "baselines": Study(what="What GIIRL is compared with, on the same nets", variants=BASELINES, curves=True),
-    "tuning": Study(what="What the baselines were tried with", variants=_tuning(), tuning=True),
-    "budgets": Study(what="Few demonstrations, and spoiled ones", variants=_budgets()),
-    "frozen": Study(what="Fresh policies on the frozen reward", variants=FOLLOWERS, curves=True),
+    "figure-4.7": Study(title="True success while a reward is learned", variants=(GIIRL,), curves=True),
+    "figure-4.8": Study(title="GIIRL and cloning as they train", variants=(GIIRL, CLONING, BARE_CLONING), curves=True),
+    "meaning": Study(title="Whether the reward reads the instruction", variants=(GIIRL,), evaluates_reward=True),
+    "defaults": Study(title="What the defaults are worth", variants=DEFAULTS, evaluates_reward=True, tuning=True),
+    "baselines": Study(title="What GIIRL is compared with, on the same nets", variants=BASELINES, curves=True),
+    "tuning": Study(title="What the baselines were tried with", variants=_tuning(), tuning=True),
+    "budgets": Study(title="Few demonstrations, and spoiled ones", variants=_budgets()),
+    "frozen": Study(title="Fresh policies on the frozen reward", variants=FOLLOWERS, curves=True),
     "held-out": Study(
-        what="Goals that training never saw",
+        title="Goals that training never saw",
         variants=(GIIRL, CLONING, Variant(name="fresh policy, frozen reward", reward_of="giirl")),
         settings=('tasks=["click-button", "click-link", "enter-text"]', "held_out_goals=0.25"),
         pages=1000,
         evaluates_reward=True,
     ),
     "families": Study(
-        what="A reward moved within a family of tasks",
+        title="A reward moved within a family of tasks",
         variants=_families(),
         settings=(
             "step_limit=20",
@@ -207,7 +207,7 @@ STUDIES = {
         ),  # twelve boxes to tick, whose labels stand beside them
     ),
     "nets": Study(
-        what="What each part of the nets is worth, in policy and reward alike", variants=NETS, evaluates_reward=True
+        title="What each part of the nets is worth, in policy and reward alike", variants=NETS, evaluates_reward=True
     ),
 }
 

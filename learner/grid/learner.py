@@ -23,9 +23,9 @@ from learner.grid.goal_features import BagOfWords
 from learner.grid.nets import GridFeatures, PotentialNet, QNet, RewardNet, one_hot
 from learner.grid.steps import EXPERT_TEMPERATURE, NOTHING, GridDemos, Index, Steps, expert_steps, random_steps
 from learner.losses import gradient_penalty, logistic_loss
+from learner.protocols import ACCURACY, EXPERT
 from learner.schedules import anneal, anneal_reward
 
-EXPERT = "expert"
 TARGET_RATE = 0.05  # how fast the net that acts and sets targets follows Q
 RewardFn = Callable[[Steps], Tensor]
 
@@ -54,7 +54,7 @@ class GridDiscriminator:
         stats: dict[str, float] = {}
         for _ in range(self.config.updates):
             stats = self._descend(self._sources(expert, rollouts, policy), policy)
-        self.accuracy = stats.get("d_accuracy_rollouts", self.accuracy)
+        self.accuracy = stats.get(f"{ACCURACY}rollouts", self.accuracy)
         kept = self.config.replay_size * HORIZON
         self.old = Steps.join([self.old, rollouts])
         self.old = self.old.pick(np.arange(max(len(self.old) - kept, 0), len(self.old)))
@@ -109,7 +109,7 @@ class GridDiscriminator:
         (loss + penalty).backward()
         self.optimiser.step()
         right = {name: (part > 0 if name == EXPERT else part < 0).float().mean() for name, part in parts.items()}
-        return {"d_loss": loss.item(), **{f"d_accuracy_{name}": share.item() for name, share in right.items()}}
+        return {"d_loss": loss.item(), **{f"{ACCURACY}{name}": share.item() for name, share in right.items()}}
 
     def _see(self, steps: Steps) -> Tensor:
         """[N, F + V], a share of `rename` with the names of the colours swapped, in sight and sentence alike."""

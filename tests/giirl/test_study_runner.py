@@ -11,11 +11,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from giirl.cli.reproduce_web import commands, study_table, summary
+from giirl.cli.reproduce_web import commands
 from giirl.figures import _success_at, draw_successes
 from giirl.run.folder import RunFolder
-from giirl.studies.runner import Variant, evaluate_rewards, measure_transfer, plan, pooled, record, run_all
+from giirl.studies.runner import Variant, evaluate_rewards, measure_transfer, plan, run_all
+from giirl.studies.summary import pooled, record, summary
+from giirl.studies.table import study_table
 from giirl.studies.web import STUDIES, base_settings
+from giirl_core.files import write_json
 from giirl_core.progress import Display
 from tests.giirl.small import SETTINGS
 
@@ -99,7 +102,7 @@ def test_a_curve_says_when_enough_episodes_in_a_row_were_won(tmp_path: Path) -> 
     for step in range(1, 31):
         outcomes = {"click-it": [int(step > 10)] * 5, "press-it": [0] * 5}
         folder.append_curve({"step": step, "env_steps": 20 * step, "episodes": 10 * step, "outcomes": outcomes})
-    folder.write_json(folder.result, {"tasks": {}, "seed": 0})
+    write_json(folder.result, {"tasks": {}, "seed": 0})
     found = record(run)
     assert found["episodes_to"]["0.95"] == {"click-it": 200, "press-it": None}  # 48 of the last 50, at step 20
     assert found["env_steps_to"]["0.99"] == {"click-it": 400, "press-it": None}
@@ -123,7 +126,7 @@ def test_tuning_and_reporting_never_share_a_study() -> None:
     (command,) = [command for command in commands() if command.name == "nets"]
     said = CliRunner().invoke(command, ["--first-seed", "98", "--seeds", "3"])
     assert said.exit_code == 2
-    assert "seeds 98 to 100 are for reports and for tuning: wanted all below 100, or none" in said.output
+    assert "seeds 98 to 100 are partly for reported results and partly for tuning" in said.output
 
 
 @pytest.mark.parametrize("name", [name for name, study in STUDIES.items() if study.tuning])
@@ -132,7 +135,7 @@ def test_choices_are_made_on_tuning_seeds_alone(name: str) -> None:
     assert {p.name: p.default for p in command.params}["first_seed"] == 100
     said = CliRunner().invoke(command, ["--first-seed", "0"])
     assert said.exit_code == 2
-    assert f"seed 0 is for reports and {name} is for choices: wanted 100 or more" in said.output
+    assert f"seed 0 is for reported results and {name} is a tuning study: wanted seeds from 100 on" in said.output
 
 
 def test_a_run_is_never_taken_for_one_of_other_settings_or_of_another_version(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from giirl.analysis.swaps import renamed
+from giirl.analysis.swaps import swap_goal
 from giirl.report.element_rewards import action_words, scale_of, value_elements
 from giirl_core.config_file import load_config
 from giirl_core.nets.reward import RewardModel
@@ -36,7 +36,7 @@ def test_a_page_with_nothing_to_act_on_has_no_values() -> None:
 
 
 def test_the_other_instruction_names_another_element_of_the_same_kind() -> None:
-    swap = renamed(observed(page("t:Ok", "button:Ok", "button:ok", "link:No"), 'Click on the "Ok" button.'))
+    swap = swap_goal(observed(page("t:Ok", "button:Ok", "button:ok", "link:No"), 'Click on the "Ok" button.'))
     assert swap is not None
     assert (swap.tag, swap.wanted, swap.other) == ("button", "Ok", "ok")
     assert swap.goal.utterance == 'Click on the "ok" button.'
@@ -44,22 +44,22 @@ def test_the_other_instruction_names_another_element_of_the_same_kind() -> None:
 
 def test_what_is_quoted_is_renamed_before_what_is_only_said() -> None:
     shown = page("button:Submit", "button:Back", "t:Ada", "t:Emil")
-    swap = renamed(observed(shown, 'Find "Ada" and press Submit.'))
+    swap = swap_goal(observed(shown, 'Find "Ada" and press Submit.'))
     assert swap is not None
     assert swap.goal.utterance == 'Find "Emil" and press Submit.'
 
 
 def test_which_other_element_it_is_depends_on_the_seed_alone() -> None:
     shown = page("button:Ok", *(f"button:b{i}" for i in range(20)))
-    others = {seed: [renamed(observed(shown, 'Click "Ok".', seed)) for _ in range(2)] for seed in range(9)}
+    others = {seed: [swap_goal(observed(shown, 'Click "Ok".', seed)) for _ in range(2)] for seed in range(9)}
     assert all(one == again and one is not None for one, again in others.values())
     assert len({pair[0].other for pair in others.values() if pair[0] is not None}) > 1
 
 
 @pytest.mark.parametrize("goal", ["Click the button.", 'Enter "Ada" and press Submit.', 'Click "ok".'])
 def test_an_instruction_that_names_nothing_another_could_stand_in_for_has_no_other(goal: str) -> None:
-    assert renamed(observed(page("button:Submit", "input_text", "t:Ada", "link:ok"), goal)) is None
-    assert renamed(observed(page("link:ok", "link:no"), 'Click "ok".'), "button") is None
+    assert swap_goal(observed(page("button:Submit", "input_text", "t:Ada", "link:ok"), goal)) is None
+    assert swap_goal(observed(page("link:ok", "link:no"), 'Click "ok".'), "button") is None
 
 
 @pytest.mark.parametrize(

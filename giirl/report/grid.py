@@ -1,0 +1,72 @@
+"""What the report says about a run in LanguageGridCraft."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from giirl.report.charts import Line, draw_chart
+from giirl.report.element_rewards import EpisodeView
+from giirl.report.heatmap import Maps, draw_heat
+from giirl.report.numbers import Group, Points, Result, TableView
+from giirl.run.folder import RunFolder
+from giirl.run.grid import layouts_of, open_run, reward_panels
+from giirl_core.algorithms import ALGORITHMS
+from giirl_core.config import Config
+from giirl_core.progress import Display
+from learner.checkpoint import latest_checkpoint
+
+
+class GridReport:
+    """Returns by instruction, their curves, and the learned reward as maps."""
+
+    def subject(self, config: Config) -> str:
+        return "LanguageGridCraft"
+
+    def facts(self, config: Config) -> dict[str, str]:
+        return {}
+
+    def result_lines(self, result: Result) -> list[str]:
+        """The learned reward compared with the true one."""
+        avoid = result["avoid"]
+        return [
+            f"The reward against the truth: Spearman {result['spearman']:.2f} and Pearson {result['pearson']:.2f} with "
+            f"the optimal value, EPIC distance {result['epic']:.2f}. An agent optimised on the reward alone enters the "
+            f"avoided colour in {100 * avoid['entered']:.1f} % of episodes, the expert in "
+            f"{100 * avoid['expert_entered']:.1f} %."
+        ]
+
+    def result_tables(self, result: Result) -> list[TableView]:
+        """Return by instruction, of the policy and of an agent optimised on the learned reward alone."""
+        rows = tuple(
+            (goal, f"{own['return_over_optimal']:.3f}", f"{own['reoptimised_over_optimal']:.3f}")
+            for goal, own in result["goals"].items()
+        )
+        caption = "Return; 1 is optimal, 0 random. Re-optimised: on the learned reward alone"
+        return [TableView(caption=caption, head=("instruction", "the policy", "re-optimised"), rows=rows)]
+
+    def success_group(
+        self, config: Config, points: Points, result: Result | None, demonstrations: Mapping[str, int]
+    ) -> Group:
+        """The return while training, for each instruction."""
+        steps = [point["env_steps"] for point in points]
+        goals = list(points[0]["returns"])
+        charts = [draw_chart(g, [Line(name="return", x=steps, y=[p["returns"][g] for p in points])]) for g in goals]
+        words = (
+            "Return of the exploring policy against environment steps, normalised: 0 is the random policy, 1 the "
+            "optimal one."
+        )
+        return Group(title="Return", words=words, charts=tuple(charts))
+
+    def strips(
+        self, folder: RunFolder, config: Config, pages: int, display: Display
+    ) -> tuple[dict[str, list[EpisodeView]], str]:
+        """Nothing: there are no pages."""
+        return {}, ""
+
+    def maps(self, folder: RunFolder, config: Config) -> Maps | None:
+        """The learned reward on the first layout, under every instruction of the training."""
+        if not ALGORITHMS[config.algorithm].has_learned_reward or not folder.checkpoints.exists():
+            return None
+        learner = open_run(config, latest_checkpoint(folder.checkpoints)).learner
+        layout = layouts_of(config.grid)[0]
+        return draw_heat(layout, reward_panels(config, learner, layout, learner.pairs))
