@@ -66,12 +66,16 @@ def test_actors_are_added_and_removed_while_a_run_goes_on(
         return taken
 
     monkeypatch.setattr(WorkersRuntime, "take", resizing)
-    monkeypatch.setattr("giirl.run.workers.TEND_S", 0.01)
+    monkeypatch.setattr("giirl.run.fleet.POLL_S", 0.01)
+    monkeypatch.setattr("giirl.run.workers.POLL_S", 0.01)
     run(tmp_path / "run", "runtime=local", "iterations=40", "evaluate.episodes=1", "evaluate.random_episodes=1")
     numbers = [len(names) for names in heard]
     assert (numbers[0], max(numbers)) == (1, 3)
-    assert [actor.name for actor in runtimes[0]._actors] == ["actor-0", "actor-1"]  # the third was told to leave
-    assert [actor.restarts for actor in runtimes[0]._actors] == [0, 0]  # nor was the second refused when it came back
+    assert [actor.name for actor in runtimes[0]._fleet._actors] == ["actor-0", "actor-1"]  # the third was told to leave
+    assert [actor.restarts for actor in runtimes[0]._fleet._actors] == [
+        0,
+        0,
+    ]  # nor was the second refused when it came back
     held = runtimes[0]._ingest.snapshot()
     assert {mark.actor for mark in held.marks} == {"actor-0", "actor-1", "actor-2"}
     tallies = {mark.actor: read_counts(tmp_path / "run/actors" / f"{mark.actor}.tally")[-1] for mark in held.marks}
