@@ -11,11 +11,8 @@ from numpy.typing import NDArray
 from gridcraft.instructions import Pair
 from gridcraft.layouts import colour_number
 from gridcraft.planning import (
-    expected_return,
     expected_reward,
     flow,
-    normalized_return,
-    occupancy,
     per_step,
     solve,
     steps_to,
@@ -41,36 +38,12 @@ def state_mean(reward: Array) -> Array:
     return mean
 
 
-def entering_mean(world: World, reward: Array) -> Array:
-    """[S] the mean of r [S, A] over the steps that lead into s from another cell, nan where none does."""
-    moves = world.next_state != np.arange(len(world))[:, None]
-    into = world.next_state[moves]
-    total = np.bincount(into, weights=reward[moves], minlength=len(world))
-    count = np.bincount(into, minlength=len(world))
-    mean: Array = np.divide(total, count, out=np.full(len(world), np.nan), where=count > 0)
-    return mean
-
-
 def reoptimise(world: World, learned: Array, discount: float = DISCOUNT) -> Array:
     """[S, A] the policy of greedy value iteration on a frozen reward, ties shared.
 
     A reward is worth what an agent that knows nothing else makes of it (the transfer of Fu, Luo and Levine 2018).
     """
     return solve(world, learned, discount=discount).pi
-
-
-def reoptimised_return(
-    world: World, learned: Array, true: Array, *, horizon: int = HORIZON, discount: float = DISCOUNT
-) -> float:
-    """The true return, not discounted, of the policy re-optimised on the learned reward at `discount`."""
-    return expected_return(world, reoptimise(world, learned, discount), true, horizon=horizon)
-
-
-def reoptimised_fraction(
-    world: World, learned: Array, true: Array, *, horizon: int = HORIZON, discount: float = DISCOUNT
-) -> float:
-    """The same as `normalized_return` counts it: 1 for the best possible, 0 for chance."""
-    return normalized_return(world, reoptimise(world, learned, discount), true, horizon=horizon)
 
 
 def pearson(x: Array, y: Array) -> float:
@@ -144,7 +117,7 @@ def avoid_rank(world: World, score: Array, pair: Pair) -> float:
     """The chance that a cell of the avoided colour scores lower than a neutral one [S]; equal counts half.
 
     1/2 says that "avoid" was not learned. Neutral is every cell that is neither goal nor avoided. The score is
-    `state_mean` or `entering_mean` of a reward; cells without one are left out.
+    `state_mean` of a reward; cells without one are left out.
     """
     avoid, neutral = _avoided_and_neutral(world, score, pair)
     return auc(score[neutral], score[avoid])
@@ -164,12 +137,6 @@ def matched_avoid_rank(world: World, score: Array, pair: Pair) -> float:
     wins = np.where(far_alike, (margin > 0) + 0.5 * (margin == 0), 0.0).sum(axis=1)
     rivals = far_alike.sum(axis=1)
     return float((wins[rivals > 0] / rivals[rivals > 0]).mean()) if rivals.any() else math.nan
-
-
-def avoid_time(world: World, pi: Array, pair: Pair, horizon: int = HORIZON) -> float:
-    """The share of its steps that pi [S, A] or [T, S, A] takes on the avoided colour, by exact visitation."""
-    avoid = world.colour == colour_number(pair.avoid)
-    return float(occupancy(world, pi, horizon)[:, avoid].sum() / horizon)
 
 
 def violation_rate(world: World, pi: Array, pair: Pair, horizon: int = HORIZON) -> float:
