@@ -193,13 +193,18 @@ class StepResult:
 
 
 class Browser(Protocol):
-    """K tabs, each showing one episode at a time. `reset` opens, `step` acts; both answer for many tabs at once."""
+    """K tabs, each showing one episode at a time. `reset` opens, `step` acts; both answer for many tabs at once.
+
+    `picture` is a PNG of left, top, width and height in CSS px; b"" from a browser that draws none.
+    """
 
     tabs: int
 
     def reset(self, episodes: Mapping[int, EpisodeSpec]) -> dict[int, Observation]: ...
 
     def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]: ...
+
+    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes: ...
 
     def close(self) -> None: ...
 

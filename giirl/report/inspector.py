@@ -9,7 +9,6 @@ import numpy as np
 
 from actors.agents import PolicyAgent
 from actors.browser import open_browser
-from browser_farm.farm import ChromeFarm
 from giirl.analysis.swaps import swap_goal
 from giirl.report.element_rewards import EpisodeView, Frame, ScoredPage, value_elements
 from giirl.report.overlay import Box, window_of
@@ -18,7 +17,7 @@ from giirl_core.metrics import Metrics
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.parameters import load_net
 from giirl_core.nets.reward import build_policy, build_reward
-from giirl_core.types import Browser, Command, EpisodeSpec, Goal, Observation, Outcome, Purpose, Weights, page_seed
+from giirl_core.types import Command, EpisodeSpec, Goal, Observation, Outcome, Purpose, Weights, page_seed
 
 DOTS = 2.0  # of a picture per CSS px
 TAB = 0
@@ -90,10 +89,14 @@ class Inspector:
     def _look(self, seen: Observation, other: Goal | None) -> Frame:
         return Frame(
             page=seen.page,
-            picture=_picture(self._browser, window_of(seen.page)),
+            picture=self._picture(window_of(seen.page)),
             own=self._judge(seen),
             other=self._judge(replace(seen, goal=other)) if other is not None else None,
         )
+
+    def _picture(self, window: Box) -> bytes | None:
+        box = (window.x, window.y, window.width, window.height)
+        return self._browser.picture(TAB, box, scale=DOTS) or None
 
     def _judge(self, seen: Observation) -> ScoredPage:
         choice = None
@@ -101,9 +104,3 @@ class Inspector:
             choice = self._choose([seen], np.zeros((1, 3), np.float32))[0].action
         best = value_elements(self._reward, seen.page, seen.goal) if self._reward is not None else ()
         return ScoredPage(goal=seen.goal, choice=choice, best=best)
-
-
-def _picture(browser: Browser, window: Box) -> bytes | None:
-    if not isinstance(browser, ChromeFarm):
-        return None
-    return browser.picture(TAB, (window.x, window.y, window.width, window.height), scale=DOTS) or None
