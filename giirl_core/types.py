@@ -35,7 +35,6 @@ __all__ = [
     "Purpose",
     "StepResult",
     "Trajectory",
-    "TrajectorySource",
     "Verb",
     "Weights",
     "page_seed",
@@ -65,7 +64,7 @@ class Purpose(IntEnum):
     DEMONSTRATE = 2
     EVALUATE = 3
     INSPECT = 4
-    RANDOM = 5
+    RANDOM_BASELINE = 5
 
 
 def page_seed(purpose: Purpose, run_seed: int, index: int) -> int:
@@ -293,9 +292,3 @@ class Weights:
             raise ValueError(
                 f"weights version {self.version} are corrupt: sha256 {found[:12]}, wanted {self.digest[:12]}"
             )
-
-
-class TrajectorySource(Protocol):
-    """Where Algorithm 1 gets its rollouts from."""
-
-    def take(self, episodes: int) -> list[Trajectory]: ...

@@ -37,7 +37,9 @@ def evaluate(config: Config, policy: Weights, metrics: Metrics, display: Display
         with display.job("evaluating", pages * tasks) as job:
             played = play_pages(config, browser, greedy, Purpose.EVALUATE, pages, metrics, job=job)
         with display.job("random baseline", random_pages * tasks) as job:
-            by_chance = play_pages(config, browser, RandomAgent(), Purpose.RANDOM, random_pages, metrics, job=job)
+            by_chance = play_pages(
+                config, browser, RandomAgent(), Purpose.RANDOM_BASELINE, random_pages, metrics, job=job
+            )
     return {task: _row(config, task, played, by_chance) for task in config.tasks}
 
 
