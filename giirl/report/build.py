@@ -1,4 +1,4 @@
-"""One page of HTML about a run: its numbers, its curves and its episodes, from what its folder holds."""
+"""Write the HTML report of a run from its folder: results, training curves and episodes."""
 
 from __future__ import annotations
 
@@ -21,9 +21,11 @@ from giirl_core.progress import Display
 from giirl_core.types import EpisodeSpec, Goal
 from learner.checkpoint import latest_checkpoint
 
+UNFINISHED = "The run is not finished, so it has no evaluation result."
+
 
 def report(folder: RunFolder, config: Config, out: Path, pages: int, command: str, display: Display) -> None:
-    """Write the page about a run, with `pages` episodes a task. A run that is not finished gives what there is."""
+    """Write the report of a run, with `pages` episodes per task. An unfinished run gives a report without results."""
     points, result = folder.points(), _result(folder)
     demonstrations = _demonstrations(folder, config, result)
     world = report_of(config)
@@ -33,12 +35,12 @@ def report(folder: RunFolder, config: Config, out: Path, pages: int, command: st
     scale = scale_of(config)
     text = render(
         "report.html",
-        title=f"{folder.path.name}, a run of GIIRL",
+        title=f"{folder.path.name}: GIIRL run report",
         name=folder.path.name,
         lead=lead_of(config, world.subject(config), points, result),
         facts=list({**facts, **world.facts(config)}.items()),
         changes=[one for one in changed(config) if not one.startswith("run=")],
-        result_lines=world.result_lines(result) if result else ["The run is not finished, so nothing was measured."],
+        result_lines=world.result_lines(result) if result else [UNFINISHED],
         result_tables=world.result_tables(result) if result else [],
         maps=world.maps(folder, config),
         groups=groups,
@@ -55,15 +57,15 @@ def report(folder: RunFolder, config: Config, out: Path, pages: int, command: st
 def inspect(
     folder: RunFolder, config: Config, spec: EpisodeSpec, goal: Goal | None, out: Path, command: str
 ) -> EpisodeView:
-    """Write a page about one fresh page: what policy and reward make of it under its instruction and another."""
+    """Write a report about one page: policy and reward under its own instruction and under another one."""
     checkpoint = latest_checkpoint(folder.checkpoints)
     with Inspector(config, *weights_of(folder, config, checkpoint), Metrics()) as inspector:
         strip = inspector.page(spec, goal)
     scale, reward = scale_of(config), ALGORITHMS[config.algorithm].has_learned_reward
     if strip.frames[0].other is None:
-        lead = "Its instruction names no element that another could stand in for; say one with --goal."
+        lead = "No goal swap: no other element fits this instruction. Pass another instruction with --goal."
     else:
-        lead = "As it opens, under its own instruction and under another."
+        lead = "The first step of the page, under its own instruction and under another one (goal swap)."
     text = render(
         "inspect.html",
         title=f"{spec.task}, page {spec.seed}",
@@ -89,7 +91,7 @@ def _result(folder: RunFolder) -> dict[str, Any] | None:
 
 
 def _demonstrations(folder: RunFolder, config: Config, result: dict[str, Any] | None) -> dict[str, int]:
-    """How many of each task."""
+    """The number of demonstrations per task."""
     if result is not None:
         return dict(result.get("demonstrations", {}))
     if not folder.demonstrations.exists():

@@ -29,10 +29,10 @@ class GridReport:
         """The learned reward compared with the true one."""
         avoid = result["avoid"]
         return [
-            f"The reward against the truth: Spearman {result['spearman']:.2f} and Pearson {result['pearson']:.2f} with "
-            f"the optimal value, EPIC distance {result['epic']:.2f}. An agent optimised on the reward alone enters the "
-            f"avoided colour in {100 * avoid['entered']:.1f} % of episodes, the expert in "
-            f"{100 * avoid['expert_entered']:.1f} %."
+            f"Learned reward: correlation with the optimal value {result['spearman']:.2f} (Spearman) and "
+            f"{result['pearson']:.2f} (Pearson), EPIC distance to the true reward {result['epic']:.2f}. The policy "
+            f"re-optimised on it enters the avoided colour in {100 * avoid['entered']:.1f} % of episodes; the expert "
+            f"in {100 * avoid['expert_entered']:.1f} %."
         ]
 
     def result_tables(self, result: Result) -> list[TableView]:
@@ -41,8 +41,8 @@ class GridReport:
             (goal, f"{own['return_over_optimal']:.3f}", f"{own['reoptimised_over_optimal']:.3f}")
             for goal, own in result["goals"].items()
         )
-        caption = "Return; 1 is optimal, 0 random. Re-optimised: on the learned reward alone"
-        return [TableView(caption=caption, head=("instruction", "the policy", "re-optimised"), rows=rows)]
+        caption = "Return: 1 optimal, 0 random. Re-optimised: by planning on the learned reward"
+        return [TableView(caption=caption, head=("instruction", "learned policy", "re-optimised policy"), rows=rows)]
 
     def success_group(
         self, config: Config, points: Points, result: Result | None, demonstrations: Mapping[str, int]
@@ -51,11 +51,8 @@ class GridReport:
         steps = [point["env_steps"] for point in points]
         goals = list(points[0]["returns"])
         charts = [draw_chart(g, [Line(name="return", x=steps, y=[p["returns"][g] for p in points])]) for g in goals]
-        words = (
-            "Return of the exploring policy against environment steps, normalised: 0 is the random policy, 1 the "
-            "optimal one."
-        )
-        return Group(title="Return", words=words, charts=tuple(charts))
+        words = "Normalised return (1 optimal, 0 random) of the exploring policy, against environment steps."
+        return Group(title="Return during training", words=words, charts=tuple(charts))
 
     def strips(
         self, folder: RunFolder, config: Config, pages: int, display: Display
@@ -64,7 +61,7 @@ class GridReport:
         return {}, ""
 
     def maps(self, folder: RunFolder, config: Config) -> Maps | None:
-        """The learned reward on the first layout, under every instruction of the training."""
+        """Heat maps of the learned reward on the first layout, one per training instruction."""
         if not ALGORITHMS[config.algorithm].has_learned_reward or not folder.checkpoints.exists():
             return None
         learner = open_run(config, latest_checkpoint(folder.checkpoints)).learner

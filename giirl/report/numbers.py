@@ -1,4 +1,4 @@
-"""The numbers of a run for its report: what it was, what came out, and the curves on the way there."""
+"""The facts, result tables and training curves of a run for its report."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from giirl_core.types import Weights
 from learner.protocols import ACCURACY
 
 SOURCES = {
-    "expert": "the expert's steps",
+    "expert": "expert steps",
     "rollouts": "new rollouts",
-    "replay": "older rollouts",
-    "policy_on_expert_states": "the policy on the expert's pages",
+    "replay": "replayed rollouts",
+    "policy_on_expert_states": "policy actions in expert states",
     "random_actions": "random actions",
-    "wrong_goal": "the expert under a wrong instruction",
+    "wrong_goal": "expert steps, wrong instruction",
 }
 TITLES = {
-    "d_loss": "Loss of the discriminator, nats",
+    "d_loss": "Discriminator loss, nats",
     "d_penalty": "Gradient penalty",
-    "p_loss": "Loss of the policy",
-    "p_entropy": "Entropy of the policy, nats",
-    "p_distance": "Policy from what the reward asks for, nats",
-    "p_value_error": "Squared error of the value",
-    "p_reward": "Learned reward of what was played",
+    "p_loss": "Policy loss",
+    "p_entropy": "Policy entropy, nats",
+    "p_distance": "Cross-entropy to soft optimum, nats",
+    "p_value_error": "Squared value error",
+    "p_reward": "Learned reward of the rollouts",
     "p_ratio": "Importance ratio",
 }
 COUNTS = frozenset({"step", "env_steps", "episodes", "seconds"})
@@ -40,7 +40,7 @@ Result = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableView:
-    """Rows of text; the first column names the row, the others are numbers."""
+    """A table of text; the first column is the row header, the other columns are numbers."""
 
     caption: str
     head: tuple[str, ...]
@@ -49,7 +49,7 @@ class TableView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Group:
-    """Charts and tables that belong together."""
+    """A section of the report: a title, a description, charts and tables."""
 
     title: str
     words: str
@@ -58,16 +58,16 @@ class Group:
 
 
 def lead_of(config: Config, subject: str, points: Points, result: Result | None) -> str:
-    """The run in one sentence; `subject` is what it learned on."""
+    """A one-sentence summary of the run; `subject` is what it learned on."""
     what = ALGORITHMS[config.algorithm].title
     step = points[-1]["step"] if points else 0
     if result is not None:
         return f"{what} on {subject}: finished after {step} iterations."
-    return f"{what} on {subject}: not finished; what there is after {step} of {config.iterations} iterations."
+    return f"{what} on {subject}: unfinished, after {step} of {config.iterations} iterations."
 
 
 def facts_of(config: Config, points: Points, result: Result | None, demonstrations: int | None) -> dict[str, str]:
-    """What a reader asks first."""
+    """The key facts of the run, by name. Unknown facts are left out."""
     last = points[-1] if points else {}
     result = result or {}
     facts = {
@@ -77,15 +77,15 @@ def facts_of(config: Config, points: Points, result: Result | None, demonstratio
         "demonstrations": count(demonstrations),
         "environment steps": count(result.get("env_steps", last.get("env_steps"))),
         "training episodes": count(result.get("training_episodes", last.get("episodes"))),
-        "seconds": count(result.get("seconds", last.get("seconds"))),
-        "SHA-256 of the nets": str(result.get("parameters_sha256", ""))[:12],
+        "run time, seconds": count(result.get("seconds", last.get("seconds"))),
+        "SHA-256 of the networks": str(result.get("parameters_sha256", ""))[:12],
     }
     return {name: value for name, value in facts.items() if value}
 
 
 def no_reward(config: Config) -> str:
     """The sentence about an algorithm without a reward."""
-    return f"There is no reward to draw: {config.algorithm} learns a policy alone."
+    return f"No reward is shown: {config.algorithm} learns only a policy."
 
 
 def weights_of(folder: RunFolder, config: Config, checkpoint: Path) -> tuple[Weights, Weights | None]:
@@ -95,7 +95,7 @@ def weights_of(folder: RunFolder, config: Config, checkpoint: Path) -> tuple[Wei
 
 
 def learning_group(points: Points) -> Group:
-    """What the updates told: the discriminator's accuracy by source, then everything else that was a number."""
+    """Statistics of the updates: discriminator accuracy by source, then every other number that varies."""
     steps = [point["env_steps"] for point in points]
     names = [name for name in points[-1] if name not in COUNTS and isinstance(points[-1][name], int | float)]
     curves = {name: [float(point.get(name, float("nan"))) for point in points] for name in names}
@@ -103,17 +103,17 @@ def learning_group(points: Points) -> Group:
     charts = []
     if sources:
         lines = [Line(name=SOURCES.get(name, _plain(name)), x=steps, y=_smooth(y)) for name, y in sources.items()]
-        charts.append(draw_chart("What the discriminator judges rightly, %", lines, unit="%"))
+        charts.append(draw_chart("Discriminator accuracy by source, %", lines, unit="%"))
     charts += [
         draw_chart(TITLES.get(name, _plain(name)), [Line(name=_plain(name), x=steps, y=y)])
         for name, y in curves.items()
         if min(y) != max(y)
     ]
-    return Group(title="Learning", words="Against environment steps.", charts=tuple(charts))
+    return Group(title="Training statistics", words="Plotted against environment steps.", charts=tuple(charts))
 
 
 def _smooth(values: Sequence[float]) -> list[float]:
-    """Mean of the last twentieth of the points; one batch alone says little."""
+    """Moving average over a twentieth of the points, because single batches are noisy."""
     width = max(1, len(values) // 20)
     return [sum(values[max(0, i + 1 - width) : i + 1]) / min(width, i + 1) for i in range(len(values))]
 

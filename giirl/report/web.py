@@ -25,18 +25,18 @@ class WebReport:
 
     def subject(self, config: Config) -> str:
         if config.browser == "fake":
-            return f"{len(config.tasks)} tasks of the fake browser, which are no result"
+            return f"{len(config.tasks)} tasks of the fake browser (not a benchmark result)"
         return f"{len(config.tasks)} MiniWoB tasks"
 
     def facts(self, config: Config) -> dict[str, str]:
-        return {"browser": config.browser, "runtime": config.runtime, "demonstrations from": config.demos.source}
+        return {"browser": config.browser, "runtime": config.runtime, "demonstration source": config.demos.source}
 
     def result_lines(self, result: Result) -> list[str]:
         """Nothing: the table has all of it."""
         return []
 
     def result_tables(self, result: Result) -> list[TableView]:
-        """Success beside the random baseline and the thesis; a second table if goals were held out of training."""
+        """The evaluation result, compared with the random baseline and with the thesis (Luo 2019)."""
         rows = tuple(
             (
                 task,
@@ -49,56 +49,56 @@ class WebReport:
             for task, own in result["tasks"].items()
         )
         tables = [_by_goal(result)] if any("held_out_goals" in own for own in result["tasks"].values()) else []
-        head = ("task", "random", "success", "95 % interval", "pages", "thesis")
-        return [TableView(caption="Greedy policy on fresh pages, % that succeed", head=head, rows=rows), *tables]
+        head = ("task", "random baseline", "success rate", "95 % interval", "pages", "Luo (2019)")
+        return [TableView(caption="Success rate of the greedy policy on fresh pages, %", head=head, rows=rows), *tables]
 
     def success_group(
         self, config: Config, points: Points, result: Result | None, demonstrations: Mapping[str, int]
     ) -> Group:
-        """Success while training, by the page's own reward, for each task."""
+        """The true success rate during training by task."""
         steps = [point["env_steps"] for point in points]
         random = {task: own["random"] for task, own in result["tasks"].items()} if result is not None else {}
         charts = [
             draw_chart(
                 task,
-                [Line(name="success", x=steps, y=_moving([point["outcomes"].get(task, []) for point in points]))],
-                levels=[Level(name="random", y=random[task])] if task in random else [],
+                [Line(name="success rate", x=steps, y=_moving([point["outcomes"].get(task, []) for point in points]))],
+                levels=[Level(name="random baseline", y=random[task])] if task in random else [],
                 unit="%",
             )
             for task in config.tasks
         ]
         words = (
-            f"Share of the last {WINDOW} training episodes of a task that succeeded by the page's own reward, in %, "
-            "against environment steps. The policy explores here, and never sees these numbers."
+            f"Success rate of the last {WINDOW} training episodes of each task, in %, as reported by the page, "
+            "against environment steps. The policy explores during training and never sees these numbers."
         )
         tables = (_outcomes(config, points, result, demonstrations),)
-        return Group(title="Success while training", words=words, charts=tuple(charts), tables=tables)
+        return Group(title="Success rate during training", words=words, charts=tuple(charts), tables=tables)
 
     def strips(
         self, folder: RunFolder, config: Config, pages: int, display: Display
     ) -> tuple[dict[str, list[EpisodeView]], str]:
-        """Episodes by task, and a text about them, or about why there are none."""
+        """Episodes by task, with a description, or with the reason why there are none."""
         try:
             checkpoint = latest_checkpoint(folder.checkpoints)
         except ValueError as error:
-            return {}, f"None: {error}."
+            return {}, f"No episodes: {error}."
         strips: dict[str, list[EpisodeView]] = {task: [] for task in config.tasks}
         with (
             Inspector(config, *weights_of(folder, config, checkpoint), Metrics()) as inspector,
-            display.job("playing for the report", pages * len(config.tasks)) as job,
+            display.job("playing episodes for the report", pages * len(config.tasks)) as job,
         ):
             for task in config.tasks:
                 for strip in inspector.strips(task, pages):
                     strips[task].append(strip)
                     job.advance()
         words = [
-            f"The greedy policy of {checkpoint.name} on the first {pages} pages of each task that are reserved for "
-            "inspection: training, demonstrations, evaluation and tuning never use their seeds, and none was left out. "
-            "Each step also shows the same page under another instruction: one that names another element of the page, "
-            "or, if no other element fits, the instruction of another page of the task."
+            f"The greedy policy of {checkpoint.name} on the first {pages} pages per task that are reserved for "
+            "reports. These pages are not used for training, demonstrations, evaluation or tuning, and none is left "
+            "out. Each step is also shown under a swapped instruction (goal swap), which names another element of the "
+            "page. Where no other element fits, it is the instruction of another page of the task."
         ]
         if config.browser == "fake":
-            words.append("The fake browser draws no screenshots: its elements are shown as boxes.")
+            words.append("The fake browser has no screenshots: elements are drawn as boxes.")
         if not ALGORITHMS[config.algorithm].has_learned_reward:
             words.append(no_reward(config))
         return strips, " ".join(words)
@@ -109,14 +109,14 @@ class WebReport:
 
 
 def _by_goal(result: Result) -> TableView:
-    """Success under the goals of the training, and under those held out of it."""
+    """Success rates under training goals and under goals that were held out of training."""
     rows = tuple(
         (task, *(f"{100 * own[goals]['success']:.1f}" for goals in ("trained_goals", "held_out_goals")))
         for task, own in result["tasks"].items()
         if "held_out_goals" in own
     )
-    head = ("task", "goals of the training", "goals held out")
-    return TableView(caption="The same by instruction, % that succeed", head=head, rows=rows)
+    head = ("task", "training goals", "held-out goals")
+    return TableView(caption="Success rate by goals, %", head=head, rows=rows)
 
 
 def _outcomes(config: Config, points: Points, result: Result | None, demonstrations: Mapping[str, int]) -> TableView:
@@ -139,17 +139,17 @@ def _outcomes(config: Config, points: Points, result: Result | None, demonstrati
         "task",
         "demonstrations",
         "episodes",
-        "succeeded, %",
-        f"first {WINDOW}",
-        f"last {WINDOW}",
-        "lowest, last third",
+        "success rate, %",
+        f"first {WINDOW}, %",
+        f"last {WINDOW}, %",
+        "lowest, %",
     )
-    caption = f"Training episodes by outcome; the lowest is of {WINDOW} in a row in the last third of the run"
+    caption = f"Success rate in training. Lowest: over any {WINDOW} consecutive episodes in the last third of the run"
     return TableView(caption=caption, head=head, rows=tuple(rows))
 
 
 def _moving(outcomes: Sequence[Sequence[int]]) -> list[float]:
-    """After each iteration the mean of the last WINDOW outcomes; nan before the first."""
+    """The mean of the last WINDOW outcomes after each iteration; nan before the first outcome."""
     recent = deque[int](maxlen=WINDOW)
     means = []
     for fresh in outcomes:

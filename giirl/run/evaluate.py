@@ -37,19 +37,19 @@ def evaluate(config: Config, policy: Weights, metrics: Metrics, display: Display
         with display.job("evaluating", pages * tasks) as job:
             played = play_pages(config, browser, greedy, Purpose.EVALUATE, pages, metrics, job=job)
         with display.job("random baseline", random_pages * tasks) as job:
-            by_chance = play_pages(
+            at_random = play_pages(
                 config, browser, RandomAgent(), Purpose.RANDOM_BASELINE, random_pages, metrics, job=job
             )
-    return {task: _row(config, task, played, by_chance) for task in config.tasks}
+    return {task: _row(config, task, played, at_random) for task in config.tasks}
 
 
-def _row(config: Config, task: str, played: Sequence[Episode], by_chance: Sequence[Episode]) -> dict[str, Any]:
+def _row(config: Config, task: str, played: Sequence[Episode], at_random: Sequence[Episode]) -> dict[str, Any]:
     """Success on all pages; if goals were held out of training, also on those goals and on the others."""
     trained, held_out = (_score(config, task, played, held_out) for held_out in (False, True))
     trained = Score(episodes=config.evaluate.episodes - held_out.episodes, successes=trained.successes)
     random = Score(
         episodes=config.evaluate.random_episodes,
-        successes=sum(episode.outcome.success for episode in by_chance if episode.trajectory.task == task),
+        successes=sum(episode.outcome.success for episode in at_random if episode.trajectory.task == task),
     )
     row = {**(trained + held_out).row(), "random": random.success, "random_episodes": random.episodes}
     if trained.episodes and held_out.episodes:

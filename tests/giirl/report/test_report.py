@@ -66,7 +66,7 @@ def reported(path: Path, *words: str | Path) -> Reading:
 
 def test_a_finished_run_is_reported_whole(finished: Path) -> None:
     page = reported(finished)
-    for words in ("Result", "Success while training", "What the discriminator judges rightly, %", "Episodes"):
+    for words in ("Result", "Success rate during training", "Discriminator accuracy by source, %", "Episodes"):
         assert words in page.text
     for setting in ("browser=fake", "net.width=16", "demos.per_task=4"):
         assert setting in page.texts
@@ -75,7 +75,7 @@ def test_a_finished_run_is_reported_whole(finished: Path) -> None:
         for index in range(2):
             assert f"Page {page_seed(Purpose.INSPECT, 0, index)}" in page.text
         assert task in page.texts
-    assert "draws no screenshots" in page.text
+    assert "has no screenshots" in page.text
     assert "Click button TWO." in page.texts
 
 
@@ -109,8 +109,8 @@ def test_a_run_under_way_is_reported_as_far_as_it_came(finished: Path, tmp_path:
     (path / "result.json").unlink()
     RunFolder(path).cut_curve(2)
     page = reported(path)
-    assert "not finished; what there is after 2 of 4 iterations" in page.text
-    assert "nothing was measured" in page.text
+    assert "unfinished, after 2 of 4 iterations" in page.text
+    assert "has no evaluation result" in page.text
     assert page.text.count("Under its own instruction") >= 8
     shutil.rmtree(path / "checkpoints")
     assert "holds no checkpoint" in reported(path).text
@@ -123,7 +123,7 @@ def test_a_cloning_run_has_no_reward_and_says_so(tmp_path: Path) -> None:
     path = tmp_path / "run"
     run(path, "algorithm=cloning")
     page = reported(path)
-    assert "There is no reward to draw: cloning learns a policy alone." in page.text
+    assert "No reward is shown: cloning learns only a policy." in page.text
     assert "ramp" not in (path / "report.html").read_text().partition("<body>")[2]
     assert "The policy takes" in page.text
 
@@ -134,7 +134,7 @@ def test_a_gridcraft_run_shows_its_returns_and_its_maps(tmp_path: Path) -> None:
     done = command("train", ROOT / "experiments/gridcraft.toml", f"run={path}", *quick)
     assert done.exit_code == 0, done.exception
     page = reported(path)
-    for words in ("Go to Red. Avoid Blue.", "EPIC distance", "The learned reward as a map", "Return"):
+    for words in ("Go to Red. Avoid Blue.", "EPIC distance", "The learned reward as a map", "Return during training"):
         assert words in page.text
     maps = re.findall(r'aria-label="(Go to [^"]*Mean reward by region[^"]*)"', (path / "report.html").read_text())
     assert len(maps) == 6
