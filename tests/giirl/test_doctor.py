@@ -26,7 +26,7 @@ def test_a_missing_browser_is_reported_with_the_command_that_installs_it(
     monkeypatch.delenv("GIIRL_CHROME", raising=False)
     chrome = doctor.program("Chromium", "GIIRL_CHROME", "chromium", package="chromium")
     assert not chrome.ok
-    assert "apt-get install chromium" in chrome.mend
+    assert "apt-get install chromium" in chrome.fix
     assert not doctor.same_major(chrome, chrome).ok
 
 
@@ -75,7 +75,7 @@ def test_a_missing_package_is_an_error_unless_it_belongs_to_an_extra_which_is_th
     assert not optional.ok
     assert not optional.needed
     assert "extra 'cluster'" in optional.found
-    assert optional.mend == "pip install 'giirl[cluster]'"
+    assert optional.fix == "pip install 'giirl[cluster]'"
 
 
 def test_a_package_that_cannot_be_imported_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 
 from giirl.cli.main import giirl
 from giirl.figures import Panel, draw_maps, draw_returns
-from giirl.run.grid import go_on, layouts_of, open_run, pairs_of
+from giirl.run.grid import continue_run, layouts_of, open_run, pairs_of
 from giirl.run.grid_metrics import Measures, means
 from giirl.signals import Stopped
 from giirl.studies import grid_ablations as run_ablations
@@ -182,7 +182,7 @@ def end_of(checkpoint: Path) -> str:
     """The hash of what is learned after going on from there for two more iterations."""
     longer = dataclasses.replace(small(), iterations=4)
     again = open_run(longer, checkpoint)
-    go_on(longer, again, lambda: None)
+    continue_run(longer, again, lambda: None)
     return hash_nets(*again.learner.nets().values())
 
 
@@ -195,7 +195,7 @@ def checkpoints(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, s
     for path in (before, after):
         path.mkdir()
         run.save(path)
-        go_on(small(), run, lambda: None)
+        continue_run(small(), run, lambda: None)
     return before, after, end_of(after)
 
 
@@ -214,7 +214,7 @@ def test_a_run_that_is_stopped_saves_and_a_finished_one_can_be_evaluated_again(t
     config, stop = small(), Event()
     run = open_run(config)
     with pytest.raises(Stopped):
-        go_on(config, run, stop.set, stop)
+        continue_run(config, run, stop.set, stop)
     assert run.learner.version == 1
     path = tmp_path / "run"
     assert invoke("train", str(EXPERIMENT), f"run={path}", *QUICK).exit_code == 0
