@@ -101,8 +101,8 @@ def _reproduce(
     if study.curves:
         from giirl.figures import draw_successes
 
-        beside = ROOT / f"{name}.json" if json_file is None else json_file
-        figure = beside.with_name(f"{beside.name.removesuffix('.json')}.png")
+        json_path = json_file or ROOT / f"{name}.json"
+        figure = json_path.with_name(f"{json_path.name.removesuffix('.json')}.png")
         draw_successes(figure, result["runs"])
         display.say(f"figure: {figure}")
     if json_file is not None:
