@@ -9,7 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from actors.agents import Agent, Decision
+from giirl_core.config import Config
 from giirl_core.metrics import Metrics, waiting
+from giirl_core.progress import Job
 from giirl_core.types import (
     Action,
     Browser,
@@ -130,6 +132,35 @@ def play(
         if not slots:  # episodes lost in the last round are played again
             again = {tab: spec for tab in range(browser.tabs) if (spec := schedule.next(tab)) is not None}
             slots = {tab: _open(observation, schedule, tab) for tab, observation in browser.reset(again).items()}
+
+
+def play_pages(
+    config: Config,
+    browser: Browser,
+    agent: Agent,
+    purpose: Purpose,
+    pages: int,
+    metrics: Metrics,
+    *,
+    tasks: Sequence[str] = (),
+    first: int = 0,
+    job: Job | None = None,
+    note: str = "",
+) -> list[Episode]:
+    """Play pages `first` to `first + pages - 1` of each task and return the episodes that ended.
+
+    The seeds of the pages are those of `purpose`. Empty `tasks` means all tasks of the config. `job` counts the
+    episodes and shows `note` next to the count.
+    """
+    schedule = Schedule(
+        tasks or config.tasks, browser.tabs, purpose=purpose, run_seed=config.seed, first=first, quota=pages
+    )
+    episodes: list[Episode] = []
+    for ended in play(browser, agent, schedule, step_limit=config.step_limit, metrics=metrics):
+        episodes += ended
+        if job is not None:
+            job.advance(len(ended), note)
+    return episodes
 
 
 def _open(observation: Observation, schedule: Schedule, tab: int) -> Slot:

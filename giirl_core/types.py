@@ -194,12 +194,13 @@ class StepResult:
 class Browser(Protocol):
     """K browser tabs, each with one episode at a time. `reset` opens episodes and `step` acts, in many tabs at once.
 
-    Keys are tab numbers from 0 to `tabs` - 1. The loop of an actor:
+    Keys are tab numbers from 0 to `tabs` - 1. `picture` returns a PNG of an area (left, top, width, height in CSS px),
+    or b"" from a browser without screenshots. The loop of an actor:
 
-        seen = browser.reset({tab: next_episode() for tab in range(browser.tabs)})
+        observations = browser.reset({tab: next_episode() for tab in range(browser.tabs)})
         while True:
-            commands = {tab: Command.of(act(o), o, following=next_episode()) for tab, o in seen.items()}
-            seen = {tab: result.observation for tab, result in browser.step(commands).items()}
+            commands = {tab: Command.of(act(o), o, following=next_episode()) for tab, o in observations.items()}
+            observations = {tab: result.observation for tab, result in browser.step(commands).items()}
     """
 
     tabs: int
@@ -207,6 +208,8 @@ class Browser(Protocol):
     def reset(self, episodes: Mapping[int, EpisodeSpec]) -> dict[int, Observation]: ...
 
     def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]: ...
+
+    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes: ...
 
     def close(self) -> None: ...
 
@@ -230,7 +233,7 @@ class Trajectory:
     reward_version: int = UNSCORED  # learner step of the reward that scored it
 
     def __post_init__(self) -> None:
-        steps = len(self.pages)
+        steps, tokens = len(self.pages), len(self.goal.tokens)
         if steps == 0:
             raise ValueError("Trajectory.pages is empty, wanted at least one step")
         for name in ("actions", "behaviour_logp", "rewards"):
@@ -239,10 +242,8 @@ class Trajectory:
         for t, (page, action) in enumerate(zip(self.pages, self.actions, strict=True)):
             if max(action.element, action.to) >= len(page):
                 raise ValueError(f"step {t} acts on element {max(action.element, action.to)}, its page has {len(page)}")
-            if action.end >= len(self.goal.tokens):
-                raise ValueError(
-                    f"step {t} types tokens {action.start}..{action.end}, the goal has {len(self.goal.tokens)}"
-                )
+            if action.end >= tokens:
+                raise ValueError(f"step {t} types tokens {action.start}..{action.end}, the goal has {tokens}")
 
     def __len__(self) -> int:
         return len(self.pages)
@@ -293,8 +294,7 @@ class Weights:
 
     def check(self) -> None:
         """Raise ValueError when the checksum does not match the blob."""
-        found = hashlib.sha256(self.blob).hexdigest()
-        if found != self.digest:
+        if (found := hashlib.sha256(self.blob).hexdigest()) != self.digest:
             raise ValueError(
                 f"weights version {self.version} are corrupt: sha256 {found[:12]}, wanted {self.digest[:12]}"
             )

@@ -16,10 +16,9 @@ from giirl_core.nets.reward import RewardModel, episode_rewards, reward_of
 from giirl_core.types import UNSCORED
 from learner.data import Example, ExpertSampler, Replay, Step, collate_steps, last_step, pick_step, steps_of
 from learner.losses import gradient_penalty, logistic_loss, trimmed
+from learner.protocols import ACCURACY, EXPERT
 
-EXPERT = "expert"
 OWN = ("rollouts", "replay")  # steps that the policy took, at some time
-ACCURACY = "d_accuracy_"
 LATELY = 0.05  # how much the newest batch counts in the accuracy of late
 
 

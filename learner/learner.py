@@ -132,7 +132,7 @@ class Learner:
 
     def _nets(self) -> dict[str, nn.Module]:
         nets: dict[str, nn.Module] = {"policy": self.policy.net, "reward": self.discriminator.model.net}
-        return {**nets, "target": self.soft_q.target} if self.config.algorithm == "sqil" else nets
+        return nets if self.soft_q.target is self.policy.net else {**nets, "target": self.soft_q.target}
 
     def _optimisers(self) -> Mapping[str, torch.optim.Optimizer]:
         return {

@@ -9,8 +9,7 @@ import numpy as np
 
 from actors.agents import PolicyAgent
 from actors.browser import open_browser
-from browser_farm.farm import ChromeFarm
-from giirl.analysis.swaps import renamed
+from giirl.analysis.swaps import swap_goal
 from giirl.report.element_rewards import EpisodeView, Frame, ScoredPage, score_elements
 from giirl.report.overlay import Box, visible_area
 from giirl_core.config import Config
@@ -63,7 +62,7 @@ class Inspector:
         if not 0 <= spec.seed < MAX_SEED:
             raise ValueError(f"the page seed {spec.seed} is out of range: wanted 0 to 2**53 - 1")
         observation = self._open(spec)
-        swap = renamed(observation)
+        swap = swap_goal(observation)
         frame = self._frame(observation, other or (swap.goal if swap else None))
         return EpisodeView(task=spec.task, seed=spec.seed, frames=(frame,))
 
@@ -73,7 +72,7 @@ class Inspector:
     def _play(self, spec: EpisodeSpec, others: Sequence[Goal]) -> EpisodeView:
         observation: Observation | None = self._open(spec)
         assert observation is not None
-        swap = renamed(observation)
+        swap = swap_goal(observation)
         other = swap.goal if swap is not None else next(iter(others), None)
         frames: list[Frame] = []
         while True:
@@ -106,6 +105,4 @@ class Inspector:
 
 
 def _screenshot(browser: Browser, area: Box) -> bytes | None:
-    if not isinstance(browser, ChromeFarm):
-        return None
     return browser.picture(TAB, (area.x, area.y, area.width, area.height), scale=PIXEL_RATIO) or None

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config, DiscriminatorConfig
 from giirl_core.nets.parameters import load_net, load_optimiser, seal_net, seal_optimiser
 from giirl_core.nets.reward import reward_of
@@ -22,9 +23,9 @@ from learner.grid.goal_features import BagOfWords
 from learner.grid.nets import GridFeatures, PotentialNet, QNet, RewardNet, one_hot
 from learner.grid.steps import EXPERT_TEMPERATURE, NO_STEPS, GridDemos, Index, Steps, expert_steps, random_steps
 from learner.losses import gradient_penalty, logistic_loss
+from learner.protocols import ACCURACY, EXPERT
 from learner.schedules import anneal, anneal_reward
 
-EXPERT = "expert"
 TARGET_RATE = 0.05  # weight of Q in each update of the moving average that acts and sets targets
 RewardFn = Callable[[Steps], Tensor]
 
@@ -53,7 +54,7 @@ class GridDiscriminator:
         stats: dict[str, float] = {}
         for _ in range(self.config.updates):
             stats = self._train_batch(self._sample_sources(expert, rollouts, policy), policy)
-        self.accuracy = stats.get("d_accuracy_rollouts", self.accuracy)
+        self.accuracy = stats.get(f"{ACCURACY}rollouts", self.accuracy)
         capacity = self.config.replay_size * HORIZON
         self.replay = Steps.join([self.replay, rollouts])
         self.replay = self.replay.pick(np.arange(max(len(self.replay) - capacity, 0), len(self.replay)))
@@ -109,7 +110,7 @@ class GridDiscriminator:
         (loss + penalty).backward()
         self.optimiser.step()
         accuracy = {name: (part > 0 if name == EXPERT else part < 0).float().mean() for name, part in parts.items()}
-        return {"d_loss": loss.item(), **{f"d_accuracy_{name}": mean.item() for name, mean in accuracy.items()}}
+        return {"d_loss": loss.item(), **{f"{ACCURACY}{name}": mean.item() for name, mean in accuracy.items()}}
 
     def _renamed_inputs(self, steps: Steps) -> Tensor:
         """[N, F + V] reward inputs. Each step has its colours permuted with probability `rename_prob`."""
@@ -250,7 +251,7 @@ class GridLearner:
     @property
     def behaviour_policy(self) -> QNet:
         """The policy that plays: that of Algorithm 1, or the cloned one for algorithm "cloning"."""
-        return self.cloner.net if self.config.algorithm == "cloning" else self.policy.net
+        return self.policy.net if ALGORITHMS[self.config.algorithm].uses_reward else self.cloner.net
 
     def nets(self) -> dict[str, nn.Module]:
         """The trained networks by name."""
