@@ -11,12 +11,14 @@ import torch
 from numpy.typing import NDArray
 
 from browser_farm.experts import NoAction
-from giirl_core.nets.batch import collate, join, random_actions
+from giirl_core.nets.action_batch import join, random_actions
+from giirl_core.nets.batch import collate
 from giirl_core.nets.features import featurise
 from giirl_core.nets.language import Vectors
 from giirl_core.nets.models import PolicyNet
 from giirl_core.nets.parameters import load_net
-from giirl_core.types import DEMONSTRATION, Action, Observation, Verb, Weights
+from giirl_core.types import DEMONSTRATION, Action, Observation, Verb
+from giirl_core.weights import Weights
 
 
 @dataclass(frozen=True, slots=True)

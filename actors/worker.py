@@ -13,15 +13,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from actors.agents import PolicyAgent
-from actors.rollouts import Schedule, play
+from actors.rollouts import Schedule, always_open, play
 from actors.uplink import Refused, Uplink
 from giirl_core.metrics import Metrics, waiting
-from giirl_core.types import UNSCORED, Browser, Episode, Weights
+from giirl_core.types import UNSCORED, Browser, Episode
+from giirl_core.weights import Weights
 from giirl_core.wire.score_client import ScoreClient
 
 LOG = logging.getLogger(__name__)
 NO_VERSION = -1
 POLL_S = 0.005  # between polls of the sockets while the actor does not play
+OUTAGE_S, MAX_OUTAGE_S = 5.0, 60.0  # after a failed request the reward service is left alone so long; doubles each time
 
 
 class Orphaned(RuntimeError):
@@ -34,7 +36,7 @@ class WorkerLimits:
 
     step_limit: int  # actions per episode
     lock_step: bool = False  # play one share of pages with each policy version, then wait for the next version
-    max_scoring: int = 64  # episodes waiting for rewards; above this the actor pauses
+    max_scoring: int = 64  # episodes waiting for rewards; above this no episode starts
     flush_timeout_s: float = 2.0  # after `stop`: to wait for rewards, and again to wait for acknowledgements
     orphan_timeout_s: float = float("inf")  # without a message from the learner, after which the actor gives up
 
@@ -47,13 +49,16 @@ class Worker:
         browser: Browser,
         agent: PolicyAgent,
         schedule: Callable[[int], Schedule],
-        scorer: ScoreClient,
+        scorer: ScoreClient | None,
         uplink: Uplink,
         *,
         limits: WorkerLimits,
         metrics: Metrics,
     ) -> None:
-        """`schedule` returns the pages to play with a policy version; without lock-step it is called once."""
+        """`schedule` returns the pages to play with a policy version; without lock-step it is called once.
+
+        `scorer` is None where no learned reward is read.
+        """
         self._browser, self._agent, self._schedule = browser, agent, schedule
         self._scorer, self._uplink = scorer, uplink
         self._limits, self._metrics = limits, metrics
@@ -61,6 +66,8 @@ class Worker:
         self._stop = threading.Event()
         self._commit_timeout_s = 0.0
         self._played_version = NO_VERSION  # in lock-step: the version whose share has been started
+        self._playing = 0  # episodes
+        self._outage_end_s, self._outage_s = 0.0, OUTAGE_S  # of the reward service
 
     def load(self, weights: Weights) -> None:
         """Use these policy weights from the next round on."""
@@ -68,7 +75,13 @@ class Worker:
 
     def set_scorers(self, scorers: Sequence[str]) -> None:
         """Replace the addresses of the reward services."""
-        self._calls.put(lambda: self._scorer.set_replicas(scorers))
+
+        def call() -> None:
+            if self._scorer is not None:
+                self._scorer.set_replicas(scorers)
+                self._outage_end_s, self._outage_s = 0.0, OUTAGE_S
+
+        self._calls.put(call)
 
     def rejoin(self, learner: str, weights: Weights) -> None:
         """Work for a learner that was restarted at this address. Its weights may be older than the current ones."""
@@ -115,10 +128,10 @@ class Worker:
     def _deliver_finished(self) -> None:
         """Deliver all finished episodes; those without rewards by the timeout go unscored."""
         deadline_s = time.monotonic() + self._limits.flush_timeout_s
-        while self._scorer.pending and time.monotonic() < deadline_s:
+        while self._scorer is not None and self._scorer.pending and time.monotonic() < deadline_s:
             self._poll()
             time.sleep(POLL_S)
-        for episode in self._scorer.cancel_pending():
+        for episode in self._scorer.cancel_pending() if self._scorer is not None else ():
             self._submit_unscored(episode)
         if self._commit_timeout_s:
             self._uplink.wait_committed(self._commit_timeout_s)
@@ -129,7 +142,8 @@ class Worker:
         """Send an episode without rewards; the learner computes them."""
         assert isinstance(episode, Episode)
         assert episode.trajectory.reward_version == UNSCORED
-        self._metrics.episodes_unscored.inc()
+        if self._scorer is not None:
+            self._metrics.episodes_unscored.inc()
         self._uplink.submit(episode)
 
     def _play(self, schedule: Schedule) -> None:
@@ -139,35 +153,46 @@ class Worker:
             schedule,
             step_limit=self._limits.step_limit,
             metrics=self._metrics,
+            gate=always_open if self._limits.lock_step else self._startable,
         )
         for finished in rounds:
             for episode in finished:
-                self._scorer.submit(episode, episode.trajectory)
+                self._finish(episode)
             self._poll()
             if not self._limits.lock_step:
-                self._pause_if_behind()
                 self._run_calls()
+            if not finished and not self._playing:
+                self._wait("learner")
             if self._stop.is_set():
                 break
 
+    def _startable(self, playing: int) -> int:
+        """How many more episodes may start while so many are played, by the learner's credits."""
+        self._playing = playing
+        scoring = self._scorer.pending if self._scorer is not None else 0
+        return self._uplink.startable(playing + scoring) if scoring <= self._limits.max_scoring else 0
+
+    def _finish(self, episode: Episode) -> None:
+        """Request the rewards of an episode, or send it without any where they are not needed or not to be had."""
+        if self._scorer is None or time.monotonic() < self._outage_end_s:
+            self._submit_unscored(episode)
+        else:
+            self._scorer.submit(episode, episode.trajectory)
+
     def _poll(self) -> None:
         """Send the learner every episode whose scoring has succeeded or failed. Raises Refused or Orphaned."""
-        for episode, rewards, version in self._scorer.poll():
+        for episode, rewards, version in self._scorer.poll() if self._scorer is not None else ():
             if rewards is None:
+                self._outage_end_s = time.monotonic() + self._outage_s
+                self._outage_s = min(2 * self._outage_s, MAX_OUTAGE_S)
                 self._submit_unscored(episode)
                 continue
+            self._outage_end_s, self._outage_s = 0.0, OUTAGE_S
             assert isinstance(episode, Episode)
             self._uplink.submit(replace(episode, trajectory=episode.trajectory.with_rewards(rewards, version)))
         self._uplink.poll()
         if self._uplink.silent_for_s > self._limits.orphan_timeout_s:
             raise Orphaned(f"no message from the learner for {self._limits.orphan_timeout_s:.0f} s")
-
-    def _pause_if_behind(self) -> None:
-        """Wait while the learner or the reward service has more episodes than it can process."""
-        while not self._stop.is_set() and not self._uplink.ready:
-            self._wait("learner")
-        while not self._stop.is_set() and self._scorer.pending > self._limits.max_scoring:
-            self._wait("reward_service")
 
     def _wait(self, what: str) -> None:
         with waiting(self._metrics, what):

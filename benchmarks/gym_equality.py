@@ -10,7 +10,6 @@ would differ anyway.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import platform
 import shutil
@@ -31,6 +30,7 @@ from browser_farm import tasks as miniwob
 from browser_farm.gym.adapter import MiniWoBAdapter
 from browser_farm.gym.env import MiniWoB
 from browser_farm.gym.slot import EnvSlot
+from giirl_core.files import write_json
 
 ELEMENT_ACTIONS = ("NONE", "CLICK_ELEMENT", "FOCUS_ELEMENT_AND_TYPE_TEXT", "FOCUS_ELEMENT_AND_TYPE_FIELD", "TYPE_TEXT")
 INPUT_ACTIONS = ("CLICK_COORDS", "DBLCLICK_COORDS", "MOVE_COORDS", "SCROLL_DOWN_COORDS", "PRESS_KEY")
@@ -212,7 +212,7 @@ def main() -> None:
     ours.close()
     package.env.close()
     if arguments.json:
-        arguments.json.write_text(json.dumps(summary(results), indent=1) + "\n")
+        write_json(arguments.json, summary(results))
 
 
 def summary(results: dict[str, dict[str, Comparison]]) -> dict[str, Any]:

@@ -106,6 +106,10 @@ class FakeFarm:
             self._open[tab] = _open(command.following)
         return StepResult(raw_reward=reward or 0.0, done=done, observation=_look(self._open[tab]))
 
+    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
+        """The fake browser has no screenshots."""
+        return b""
+
     def close(self) -> None:
         self._open.clear()
 

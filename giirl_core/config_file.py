@@ -13,6 +13,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from giirl_core.config import Config
+from giirl_core.renamed_settings import RENAMED
 
 _TREE = TypeAdapter(Config)
 
@@ -42,6 +43,8 @@ def parse_config(tree: dict[str, Any], where: str) -> Config:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+            if key in RENAMED:
+                raise ValueError(f"{where}: the setting {key!r} is now {RENAMED[key]!r}") from None
             near = difflib.get_close_matches(key, keys(), n=1, cutoff=0.0)
             raise ValueError(f"{where}: there is no setting {key!r}; the nearest is {near[0]!r}") from None
         raise ValueError(f"{where}: {key} = {first['input']!r}: {first['msg']}") from None

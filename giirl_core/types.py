@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Protocol
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giirl_core.actions import LEARNABLE_VERBS, NO_ELEMENT, NO_SPAN, TOKEN, VERB_FIELDS, Action, Goal, Verb
+from giirl_core.sampled_actions import SampledActions
 
 __all__ = [
     "DEMONSTRATION",
@@ -37,7 +37,6 @@ __all__ = [
     "StepResult",
     "Trajectory",
     "Verb",
-    "Weights",
     "page_seed",
 ]
 
@@ -195,12 +194,13 @@ class StepResult:
 class Browser(Protocol):
     """K browser tabs, each with one episode at a time. `reset` opens episodes and `step` acts, in many tabs at once.
 
-    Keys are tab numbers from 0 to `tabs` - 1. The loop of an actor:
+    Keys are tab numbers from 0 to `tabs` - 1. `picture` returns a PNG of an area (left, top, width, height in CSS px),
+    or b"" from a browser without screenshots. The loop of an actor:
 
-        seen = browser.reset({tab: next_episode() for tab in range(browser.tabs)})
+        observations = browser.reset({tab: next_episode() for tab in range(browser.tabs)})
         while True:
-            commands = {tab: Command.of(act(o), o, following=next_episode()) for tab, o in seen.items()}
-            seen = {tab: result.observation for tab, result in browser.step(commands).items()}
+            commands = {tab: Command.of(act(o), o, following=next_episode()) for tab, o in observations.items()}
+            observations = {tab: result.observation for tab, result in browser.step(commands).items()}
     """
 
     tabs: int
@@ -209,27 +209,9 @@ class Browser(Protocol):
 
     def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]: ...
 
+    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes: ...
+
     def close(self) -> None: ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SampledActions:
-    """M further actions on each page of a trajectory: drawn but not taken, for the reward to score.
-
-    Half of them are drawn from the policy, half uniformly from the legal actions.
-    """
-
-    choices: NDArray[np.int16]  # [T, M, 4] verb, element, first and last word (-1 where nothing is typed)
-    logp: NDArray[np.float32]  # [T, M] nats, log mu(a | s_t, g) of the policy that drew, of the uniform half too
-    rewards: NDArray[np.float32]  # [T, M] r(s_t, a | g) of the trajectory's reward_version; zeros while unscored
-
-    def __post_init__(self) -> None:
-        steps = self.choices.shape[:2]
-        if self.choices.shape != (*steps, 4) or self.logp.shape != steps or self.rewards.shape != steps:
-            raise ValueError(
-                f"SampledActions.choices has shape {self.choices.shape}, .logp {self.logp.shape} and .rewards "
-                f"{self.rewards.shape}, wanted [T, M, 4], [T, M] and [T, M]"
-            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -252,21 +234,19 @@ class Trajectory:
     sampled: SampledActions | None = None  # where nobody asked for any
 
     def __post_init__(self) -> None:
-        steps = len(self.pages)
+        steps, tokens = len(self.pages), len(self.goal.tokens)
         if steps == 0:
             raise ValueError("Trajectory.pages is empty, wanted at least one step")
         for name in ("actions", "behaviour_logp", "rewards"):
             if len(getattr(self, name)) != steps:
                 raise ValueError(f"Trajectory.{name} has {len(getattr(self, name))} steps, .pages has {steps}")
         if self.sampled is not None:
-            _check_sampled(self.sampled, self.pages, self.goal)
+            self.sampled.check([len(page) for page in self.pages], len(self.goal.tokens))
         for t, (page, action) in enumerate(zip(self.pages, self.actions, strict=True)):
             if max(action.element, action.to) >= len(page):
                 raise ValueError(f"step {t} acts on element {max(action.element, action.to)}, its page has {len(page)}")
-            if action.end >= len(self.goal.tokens):
-                raise ValueError(
-                    f"step {t} types tokens {action.start}..{action.end}, the goal has {len(self.goal.tokens)}"
-                )
+            if action.end >= tokens:
+                raise ValueError(f"step {t} types tokens {action.start}..{action.end}, the goal has {tokens}")
 
     def __len__(self) -> int:
         return len(self.pages)
@@ -292,31 +272,6 @@ class Trajectory:
                 )
 
 
-def _check_sampled(sampled: SampledActions, pages: Sequence[Page], goal: Goal) -> None:
-    """ValueError for a sampled action that no page of the trajectory allows."""
-    if len(sampled.choices) != len(pages):
-        raise ValueError(f"Trajectory.sampled has {len(sampled.choices)} steps, .pages has {len(pages)}")
-    verb, element, start, end = np.moveaxis(sampled.choices, 2, 0)
-    sizes = np.array([[len(page)] for page in pages])
-    typed = verb == Verb.TYPE
-    words = len(goal.tokens)
-    legal = (
-        (element >= 0)
-        & (element < sizes)
-        & np.where(
-            typed,
-            (start >= 0) & (start <= end) & (end < words),
-            (verb == Verb.CLICK) & (start == NO_SPAN) & (end == NO_SPAN),
-        )
-    )
-    if not legal.all():
-        t, m = (int(place) for place in np.argwhere(~legal)[0])
-        raise ValueError(
-            f"sampled action {m} of step {t} is {sampled.choices[t, m].tolist()}, wanted a click or words to type "
-            f"on a page with {len(pages[t])} elements under a goal with {words} words"
-        )
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
     """The environment's verdict on an episode: for reports, never for training."""
@@ -336,25 +291,3 @@ class Episode:
 
     trajectory: Trajectory
     outcome: Outcome
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Weights:
-    """The parameters of a net at one learner step, as safetensors bytes with a checksum."""
-
-    version: int  # learner step
-    blob: bytes
-    digest: str  # sha256 of blob, hex
-
-    @classmethod
-    def seal(cls, version: int, blob: bytes) -> Weights:
-        """Weights with the checksum of `blob`."""
-        return cls(version=version, blob=blob, digest=hashlib.sha256(blob).hexdigest())
-
-    def check(self) -> None:
-        """Raise ValueError when the checksum does not match the blob."""
-        found = hashlib.sha256(self.blob).hexdigest()
-        if found != self.digest:
-            raise ValueError(
-                f"weights version {self.version} are corrupt: sha256 {found[:12]}, wanted {self.digest[:12]}"
-            )

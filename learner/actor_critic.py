@@ -10,7 +10,8 @@ from torch.nn import functional
 
 from giirl_core.config import PolicyConfig
 from giirl_core.metrics import Metrics, timed_update
-from giirl_core.nets.batch import ActionBatch, Batch, join, random_logp
+from giirl_core.nets.action_batch import ActionBatch, join, random_logp
+from giirl_core.nets.batch import Batch
 from giirl_core.nets.models import PolicyNet
 from learner.data import Example, collate_steps, pad, sampled_of, steps_of
 from learner.losses import vtrace
@@ -43,13 +44,13 @@ class ActorCritic:
         mask = torch.arange(max(lengths)) < torch.tensor(lengths).unsqueeze(1)
         behaviour = torch.from_numpy(pad([example.trajectory.behaviour_logp for example in rollouts]))
         proposal = torch.logaddexp(drawn_logp, random_logp(batch, sampled))  # half the policy's, half uniform
-        columns = torch.cat(list(rewards)), behaviour, proposal, mask
         device = self.net.encoder.table.device
-        inputs = batch.to(device), join(taken, sampled).to(device), *(column.to(device) for column in columns)
+        pages, actions, paid = batch.to(device), join(taken, sampled).to(device), torch.cat(list(rewards)).to(device)
+        behaviour, proposal, mask = behaviour.to(device), proposal.to(device), mask.to(device)
         stats: dict[str, float] = {}
         for _ in range(self.config.updates):
             with timed_update(self._metrics, "policy"):
-                stats = self._descend(*inputs)
+                stats = self._descend(pages, actions, paid, behaviour, proposal, mask)
         return stats
 
     def _descend(

@@ -8,7 +8,7 @@ import torch
 
 from giirl_core.config import CloningConfig
 from giirl_core.metrics import Metrics, timed_update
-from giirl_core.nets.batch import rename
+from giirl_core.nets.augment import rename
 from giirl_core.nets.models import PolicyNet
 from learner.actor_critic import descend
 from learner.data import Example, collate_steps, steps_of

@@ -11,7 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from giirl_core.nets.batch import ActionBatch, Batch, collate, collate_actions, collate_sampled
+from giirl_core.nets.action_batch import ActionBatch, collate_actions, collate_sampled
+from giirl_core.nets.batch import Batch, collate
 from giirl_core.nets.features import Features, featurise
 from giirl_core.nets.language import Vectors
 from giirl_core.types import Action, Goal, Trajectory, Verb

@@ -11,7 +11,9 @@ from torch import Tensor
 
 from giirl_core.config import DiscriminatorConfig
 from giirl_core.metrics import Metrics, timed_update
-from giirl_core.nets.batch import ActionBatch, Batch, collate, join, random_actions, rename
+from giirl_core.nets.action_batch import ActionBatch, join, random_actions
+from giirl_core.nets.augment import rename
+from giirl_core.nets.batch import Batch, collate
 from giirl_core.nets.models import PolicyNet
 from giirl_core.nets.reward import RewardModel, episode_rewards
 from giirl_core.types import UNSCORED
@@ -28,10 +30,9 @@ from learner.data import (
     steps_of,
 )
 from learner.losses import gradient_penalty, logistic_loss, trimmed
+from learner.protocols import ACCURACY, EXPERT
 
-EXPERT = "expert"
 OWN = ("rollouts", "replay")  # steps that the policy took, at some time
-ACCURACY = "d_accuracy_"
 LATELY = 0.05  # how much the newest batch counts in the accuracy of late
 TAKEN, POLICYS, RANDOM = 0, 1, 2  # columns of the actions on each page
 

@@ -17,7 +17,8 @@ from giirl_core.metrics import Metrics
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.parameters import hash_nets, load_net, load_optimiser, seal_net, seal_optimiser
 from giirl_core.nets.reward import build_policy, build_reward
-from giirl_core.types import Episode, Outcome, Trajectory, Weights
+from giirl_core.types import Episode, Outcome, Trajectory
+from giirl_core.weights import Weights
 from giirl_core.wire.messages import read_episodes, write_episodes
 from learner.actor_critic import ActorCritic
 from learner.cloning import Cloner
@@ -132,7 +133,7 @@ class Learner:
 
     def _nets(self) -> dict[str, nn.Module]:
         nets: dict[str, nn.Module] = {"policy": self.policy.net, "reward": self.discriminator.model.net}
-        return {**nets, "target": self.soft_q.target} if self.config.algorithm == "sqil" else nets
+        return nets if self.soft_q.target is self.policy.net else {**nets, "target": self.soft_q.target}
 
     def _optimisers(self) -> Mapping[str, torch.optim.Optimizer]:
         return {

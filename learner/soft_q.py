@@ -11,7 +11,8 @@ from torch import Tensor
 
 from giirl_core.config import SoftQConfig
 from giirl_core.metrics import Metrics, timed_update
-from giirl_core.nets.batch import Batch, collate, rename
+from giirl_core.nets.augment import rename
+from giirl_core.nets.batch import Batch, collate
 from giirl_core.nets.models import PolicyNet
 from learner.actor_critic import descend
 from learner.data import Example, Replay, Step, collate_steps

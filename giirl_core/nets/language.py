@@ -24,6 +24,8 @@ class Vectors(Protocol):
 
     def row(self, word: str) -> int: ...  # UNKNOWN when the table does not have the word
 
+    def __hash__(self) -> int: ...
+
 
 class GloVe:
     """GloVe 6B (Pennington, Socher and Manning 2014): 400,000 words, 50 dimensions, memory-mapped, by frequency."""

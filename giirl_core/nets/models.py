@@ -7,7 +7,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from giirl_core.config import NetConfig
-from giirl_core.nets.batch import ActionBatch, Batch
+from giirl_core.nets.action_batch import ActionBatch
+from giirl_core.nets.batch import Batch
 from giirl_core.nets.encoder import MASKED_LOGIT, Encoder, Encoding
 from giirl_core.nets.language import Vectors
 from giirl_core.types import LEARNABLE_VERBS, NO_SPAN, Verb
@@ -33,8 +34,14 @@ class PolicyNet(nn.Module):
     def pairs(self, seen: Encoding) -> Tensor:
         """[B, E * verbs] log-probabilities of (element, verb) pairs; click needs a leaf, type a field."""
         batch = seen.batch
-        hidden = linear_parts(self.act[0], seen.elements, (seen.summary, batch.element_page))
-        logits = functional.embedding(batch.row, self.act[2](torch.relu(hidden)))
+        first, last = self.act[0], self.act[2]
+        assert isinstance(first, nn.Linear)
+        weight, bias = first.weight, first.bias
+        width = seen.elements.shape[1]
+        shared = functional.linear(seen.summary, weight[:, width:])  # of cat[element, summary], once for each page
+        hidden = functional.linear(seen.elements, weight[:, :width], bias)
+        hidden = torch.relu(hidden + functional.embedding(batch.element_page, shared))
+        logits = functional.embedding(batch.row, last(hidden))
         legal = torch.stack([batch.clickable, batch.typable], dim=2)
         out: Tensor = logits.masked_fill(~legal, MASKED_LOGIT).flatten(1).log_softmax(1)
         return out
@@ -127,14 +134,6 @@ class RewardNet(nn.Module):
         return torch.cat(
             [element, seen.summary.unsqueeze(1).expand_as(element), first, last, self.verb(actions.verb)], dim=2
         )
-
-
-def linear_parts(layer: nn.Linear, rows: Tensor, shared: tuple[Tensor, Tensor]) -> Tensor:
-    """layer(cat[rows, per_page[page]]) without building that: rows [N, D], and (per_page [B, D], page [N])."""
-    per_page, page = shared
-    width = rows.shape[1]
-    common = functional.linear(per_page, layer.weight[:, width:])
-    return functional.linear(rows, layer.weight[:, :width], layer.bias) + functional.embedding(page, common)
 
 
 def draw(logp: Tensor, uniform: Tensor) -> Tensor:

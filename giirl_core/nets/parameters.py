@@ -9,7 +9,7 @@ import torch
 from safetensors import SafetensorError
 from torch import nn
 
-from giirl_core.types import Weights
+from giirl_core.weights import Weights
 
 
 def seal_net(net: nn.Module, version: int) -> Weights:

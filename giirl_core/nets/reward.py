@@ -11,19 +11,14 @@ from torch import Tensor
 from torch.nn import functional
 
 from giirl_core.config import Config
-from giirl_core.nets.batch import (
-    ActionBatch,
-    collate,
-    collate_actions,
-    collate_choices,
-    collate_sampled,
-    join,
-)
+from giirl_core.nets.action_batch import ActionBatch, collate_actions, collate_choices, collate_sampled, join
+from giirl_core.nets.batch import collate
 from giirl_core.nets.features import Features, featurise
 from giirl_core.nets.language import Vectors, load_vectors
 from giirl_core.nets.models import PolicyNet, RewardNet
 from giirl_core.nets.parameters import load_net
-from giirl_core.types import Action, Goal, Page, Trajectory, Weights
+from giirl_core.types import Action, Goal, Page, Trajectory
+from giirl_core.weights import Weights
 
 FORMS = ("logit", "d", "log_d", "gail", "goal")
 

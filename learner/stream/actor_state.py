@@ -22,7 +22,6 @@ class ActorState:
     notice: int = 0  # number of the last notice received
     full: bool = False  # the actor's buffer is nearly full, so it asked for a checkpoint
     queued: int = 0  # episodes waiting in the learner's queue
-    granted: int = 0  # the highest send limit that the actor was told
     peer: bytes | None = None  # ZeroMQ identity; None after a BYE, or when only known from a checkpoint
     last_heard_s: float = 0.0  # monotonic time
 
@@ -99,8 +98,6 @@ class ActorState:
         return self.acked_count + max(0, window - self.queued)
 
     def grant(self, window: int) -> Grant:
-        limit = self.send_limit(window)
-        self.granted = max(self.granted, limit)
         return Grant(
             incarnation=self.incarnation,
             notice=self.notice,
@@ -108,7 +105,7 @@ class ActorState:
             acked=tuple(sorted(self.acked)),
             committed=self.committed,
             settled=self.settled,
-            limit=limit,
+            limit=self.send_limit(window),
         )
 
     def _advance_watermark(self) -> None:

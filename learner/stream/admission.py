@@ -21,26 +21,12 @@ from giirl_core.wire import messages as wire
 from giirl_core.wire.delivery import EpisodeMessage, Notice
 from giirl_core.wire.messages import Stamp, WireError
 from learner.stream.actor_state import ActorState
-from learner.stream.flow import FlowControl
+from learner.stream.flow import FlowControl, IngestLimits
 from learner.stream.snapshot import IngestSnapshot
 
 LOG = logging.getLogger(__name__)
 TAKEN = "taken"
 DROPPED = ("stale", "stale_queued", "invalid", "repeated", "held_out", "lost")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IngestLimits:
-    """How far actors may run ahead of the learner, and how old the policy of an episode may be."""
-
-    credits: int = 4  # episodes of one actor that may be played, in flight or queued, at most
-    batch: int = 0  # episodes taken at a time, to which flow control fits the credits; 0: each actor has `credits`
-    max_lag: int = 4  # policy versions; older episodes are dropped on arrival and in the queue; 0 means lock-step
-    max_bytes: int = 256 << 20  # encoded bytes in the queue; above this no actor has credits
-
-    def __post_init__(self) -> None:
-        if self.credits < 1 or self.max_lag < 0 or self.max_bytes < 1 or self.batch < 0:
-            raise ValueError(f"{self} admits no episode: wanted credits and max_bytes >= 1, max_lag and batch >= 0")
 
 
 @dataclass(slots=True, kw_only=True)
@@ -79,8 +65,7 @@ class Admission:
         self._grants_due: set[str] = set()  # actors whose grant has changed
         self._actors = {offsets.actor: ActorState.from_offsets(offsets) for offsets in snapshot.offsets}
         self._counts = Counter(snapshot.counts)
-        self._flow = FlowControl(limits.batch, limits.max_lag) if limits.batch and limits.max_lag else None
-        self._stale_before = 0  # when flow control looked last
+        self._flow = FlowControl(limits.batch, limits.max_lag)
 
     @property
     def queued(self) -> int:
@@ -149,7 +134,8 @@ class Admission:
         batch, self._pulled = self._pulled[:episodes], self._pulled[episodes:]
         for episode in batch:
             self._observe_lag(episode, version)
-        self._adapt(batch, version)
+        stale = self._counts["stale"] + self._counts["stale_queued"]
+        self._flow.observe([version - episode.trajectory.policy_version for episode in batch], stale)
         self._counts[TAKEN] += len(batch)
         return batch if self._limits.max_lag else sorted(batch, key=_page)
 
@@ -157,7 +143,8 @@ class Admission:
         """(peer, encoded grant) for every actor whose grant has changed since the last call."""
         due = [self._actors[name] for name in sorted(self._grants_due)]
         self._grants_due.clear()
-        windows = self._windows() if due else {}
+        connected = [actor.actor for actor in self._actors.values() if actor.peer is not None]
+        windows = self._flow.windows(connected, self._credits)
         return [(a.peer, delivery.encode_grant(a.grant(windows[a.actor]))) for a in due if a.peer is not None]
 
     def snapshot(self) -> IngestSnapshot:
@@ -209,20 +196,9 @@ class Admission:
         heard = [f"{name} {self.silent_for_s(name):.1f} s ago" for name in sorted(self._actors)[:8]]
         return f"{self.queued} queued; last messages from {len(self._actors)} actors: {', '.join(heard) or 'none'}"
 
-    def _windows(self) -> dict[str, int]:
-        """Outstanding episodes that each connected actor may have."""
-        names = sorted(name for name, actor in self._actors.items() if actor.peer is not None)
-        if self._queued_bytes >= self._limits.max_bytes:
-            return dict.fromkeys(names, 0)
-        if self._flow is None:
-            return dict.fromkeys(names, self._limits.credits)
-        return {n: min(self._flow.share(place, len(names)), self._limits.credits) for place, n in enumerate(names)}
-
-    def _adapt(self, batch: list[Episode], version: int) -> None:
-        if self._flow is not None:
-            stale = self._counts["stale"] + self._counts["stale_queued"]
-            self._flow.observe([version - e.trajectory.policy_version for e in batch], stale - self._stale_before)
-            self._stale_before = stale
+    @property
+    def _credits(self) -> int:
+        return self._limits.credits if self._queued_bytes < self._limits.max_bytes else 0
 
     def _why_refused(self, stamp: Stamp) -> str:
         """Why the learner will never accept this actor incarnation; "" if it may."""
@@ -246,7 +222,7 @@ class Admission:
         sequence = message.stamp.sequence
         if actor.is_acked(sequence):
             self._count_rejected("duplicate")
-        elif sequence >= actor.granted:
+        elif sequence >= actor.send_limit(self._credits):
             self._count_rejected("over_credit")  # not acknowledged, so the actor sends it again
         else:
             self._metrics.trajectories_received.inc()

@@ -10,7 +10,8 @@ from giirl_core.metrics import Metrics, waiting
 from giirl_core.types import Episode
 from giirl_core.wire.delivery import IncarnationCounts
 from giirl_core.wire.transport import Keys, Router
-from learner.stream.admission import Admission, IngestLimits
+from learner.stream.admission import Admission
+from learner.stream.flow import IngestLimits
 from learner.stream.snapshot import IngestSnapshot
 
 TICK_S = 0.1  # longest wait for a message; bounds how long `close` takes

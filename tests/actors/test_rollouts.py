@@ -100,6 +100,8 @@ class BlankPages(FakeFarm):
 class FirstLeafAgent:
     """Always clicks the first leaf."""
 
+    draws = 1
+
     def select_actions(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]:
         first = [int(np.flatnonzero(observation.page.leaf)[0]) for observation in observations]
         return [Decision(Action(verb=Verb.CLICK, element=element), -0.25, 4) for element in first]
@@ -220,7 +222,7 @@ def test_experts_always_succeed_on_the_fake_tasks() -> None:
 def test_random_agent_chooses_every_legal_action_with_the_probability_it_reports() -> None:
     goal = Goal("Type ok.")
     observation = Observation(episode=EpisodeSpec(task="t", seed=0), page=SHORT, goal=goal)
-    uniform = np.random.default_rng(0).random((8000, 3), dtype=np.float32)
+    uniform = np.random.default_rng(0).random((8000, 1, 3), dtype=np.float32)
     decisions = RandomAgent().select_actions([observation] * 8000, uniform)
     counts = Counter(decision.action for decision in decisions)
     reported = {decision.action: np.exp(decision.logp) for decision in decisions}
@@ -234,7 +236,7 @@ def test_random_agent_chooses_every_legal_action_with_the_probability_it_reports
 def test_random_actions_are_legal_at_both_ends_of_the_unit_interval(uniform: float) -> None:
     goal = Goal("Type ok.")
     observation = Observation(episode=EpisodeSpec(task="t", seed=0), page=SHORT, goal=goal)
-    (decision,) = RandomAgent().select_actions([observation], np.full((1, 3), uniform, dtype=np.float32))
+    (decision,) = RandomAgent().select_actions([observation], np.full((1, 1, 3), uniform, dtype=np.float32))
     assert decision.action in legal_actions(SHORT, goal)
 
 
@@ -242,7 +244,7 @@ def test_a_greedy_policy_does_not_depend_on_the_random_numbers() -> None:
     greedy = PolicyAgent(policy(), vectors(), greedy=True)
     observations = list(FakeFarm(tabs=1).reset({0: EpisodeSpec(task="click-button", seed=1)}).values())
     one, two = (
-        greedy.select_actions(observations, np.full((1, 3), uniform, dtype=np.float32)) for uniform in (0.01, 0.99)
+        greedy.select_actions(observations, np.full((1, 1, 3), uniform, dtype=np.float32)) for uniform in (0.01, 0.99)
     )
     assert one == two
 
@@ -253,7 +255,7 @@ def test_a_policy_agent_rejects_older_weights_and_reports_its_version() -> None:
     with pytest.raises(ValueError, match="version 4, wanted 5 or later"):
         agent.load(seal_net(policy(2), 4))
     observations = list(FakeFarm(tabs=1).reset({0: EpisodeSpec(task="click-test", seed=1)}).values())
-    (decision,) = agent.select_actions(observations, np.full((1, 3), 0.5, dtype=np.float32))
+    (decision,) = agent.select_actions(observations, np.full((1, 1, 3), 0.5, dtype=np.float32))
     assert decision.version == 5
 
 

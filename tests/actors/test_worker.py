@@ -11,7 +11,8 @@ from actors.uplink import Refused
 from actors.worker import Worker, WorkerLimits
 from giirl_core.metrics import Metrics
 from giirl_core.nets.parameters import seal_net
-from giirl_core.types import Episode, Weights
+from giirl_core.types import Episode
+from giirl_core.weights import Weights
 from tests.giirl_core.wire_examples import episode
 from tests.learner.samples import policy, vectors
 
@@ -37,7 +38,7 @@ class SilentScorer:
 class RecordingUplink:
     """Accepts every episode."""
 
-    ready, silent_for_s = True, 0.0
+    silent_for_s = 0.0
 
     def __init__(self) -> None:
         self.submitted: list[Episode] = []
@@ -47,6 +48,9 @@ class RecordingUplink:
         self.submitted.append(finished)
 
     def poll(self) -> None: ...
+
+    def startable(self, unfinished: int) -> int:
+        return 8
 
     def flush(self, timeout_s: float) -> None:
         self.flushed = True

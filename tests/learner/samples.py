@@ -14,7 +14,8 @@ from browser_farm.experts import expert
 from browser_farm.fake import TASKS, FakeFarm
 from giirl_core.config import NetConfig
 from giirl_core.metrics import Metrics
-from giirl_core.nets.batch import ActionBatch, Batch, collate
+from giirl_core.nets.action_batch import ActionBatch
+from giirl_core.nets.batch import Batch, collate
 from giirl_core.nets.features import MATCH_KINDS, Features, featurise
 from giirl_core.nets.language import Vectors, load_vectors
 from giirl_core.nets.models import PolicyNet, RewardNet

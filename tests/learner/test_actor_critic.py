@@ -13,8 +13,9 @@ from torch import Tensor
 from actors.agents import PolicyAgent
 from giirl_core.config import PolicyConfig
 from giirl_core.metrics import Metrics
-from giirl_core.nets.batch import random_logp
-from giirl_core.types import Action, EpisodeSpec, Goal, Observation, SampledActions, Verb
+from giirl_core.nets.action_batch import random_logp
+from giirl_core.sampled_actions import SampledActions
+from giirl_core.types import Action, EpisodeSpec, Goal, Observation, Verb
 from learner.actor_critic import ActorCritic, soft_optimal
 from learner.data import Example, collate_steps, featurise_trajectory, pad, steps_of
 from tests.learner.samples import (

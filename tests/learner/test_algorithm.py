@@ -10,13 +10,21 @@ from typing import Any
 import pytest
 import torch
 
-from giirl_core.config import Config, DiscriminatorConfig, NetConfig, PolicyConfig
+from giirl_core.algorithms import ALGORITHMS
+from giirl_core.config import Config, DiscriminatorConfig, GridConfig, NetConfig, PolicyConfig
+from giirl_core.config_file import load_config
 from giirl_core.metrics import Metrics
 from giirl_core.nets.parameters import hash_nets, load_net, seal_net
-from giirl_core.types import Trajectory, Weights
-from learner.algorithms import ALGORITHMS
+from giirl_core.types import Trajectory
+from giirl_core.weights import Weights
+from gridcraft.instructions import Pair
+from gridcraft.layouts import named_layout
+from gridcraft.world import build_world
+from learner.algorithms import LOOPS
 from learner.giirl import giirl
+from learner.grid.learner import GridLearner
 from learner.learner import Learner
+from learner.protocols import BaselineLearning, Learning
 from tests.learner.samples import expert_episodes, policy, reward_net
 
 SMALL = Config(
@@ -73,7 +81,7 @@ def step(learner: Learner, shown: list[Trajectory], steps: int) -> None:
         learner.version = step + 1
 
     source: Any = SimpleNamespace(take=lambda episodes: shown[:4])
-    ALGORITHMS["giirl"](SMALL, learner, source, range(learner.version, learner.version + steps), observe)
+    LOOPS["giirl"](SMALL, learner, source, range(learner.version, learner.version + steps), observe)
 
 
 def test_a_restored_learner_goes_on_as_the_saved_one_would(demonstrations: list[Trajectory], tmp_path: Path) -> None:
@@ -115,6 +123,30 @@ def test_nothing_that_is_saved_could_be_left_out(
     step(one, demonstrations, 3)
     step(fresh, demonstrations, 3)
     assert fresh.hash() != one.hash()
+
+
+def test_every_algorithm_has_one_row_of_facts_and_one_loop() -> None:
+    assert set(LOOPS) == set(ALGORITHMS)
+
+
+def test_an_unknown_algorithm_is_an_error_that_names_the_known_ones() -> None:
+    with pytest.raises(ValueError, match=r"algorithm = 'reinforce': .*wanted 'giirl' or 'cloning' or "):
+        load_config(None, ["algorithm=reinforce"])
+
+
+@pytest.mark.parametrize("algorithm", [name for name, spec in ALGORITHMS.items() if "gridcraft" not in spec.worlds])
+def test_an_algorithm_that_does_not_play_the_grid_is_an_error_that_names_those_that_do(algorithm: str) -> None:
+    with pytest.raises(ValueError, match="does not play gridcraft: wanted 'giirl' or 'cloning'"):
+        load_config(None, ["world=gridcraft", f"algorithm={algorithm}"])
+
+
+def test_both_learners_have_the_parts_that_the_loops_use(demonstrations: list[Trajectory]) -> None:
+    grid = Config(world="gridcraft", grid=GridConfig(random_episodes=1, demonstrations=1))
+    in_grid: Learning = GridLearner(grid, build_world([named_layout("regions")]), [Pair("red", "blue")])  # mypy checks
+    on_pages: BaselineLearning = Learner(SMALL, demonstrations, Metrics())
+    for learner in (in_grid, on_pages):
+        assert learner.policy.net is not None
+        assert callable(learner.discriminator.rewards)
 
 
 def test_a_net_sealed_and_loaded_is_the_same_net() -> None:

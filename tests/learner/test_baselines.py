@@ -13,11 +13,12 @@ import torch
 from giirl_core.config import CloningConfig, Config, DiscriminatorConfig, NetConfig, PolicyConfig, SoftQConfig
 from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
-from giirl_core.nets.batch import Batch, rename
+from giirl_core.nets.augment import rename
+from giirl_core.nets.batch import Batch
 from giirl_core.nets.models import PolicyNet
 from giirl_core.nets.reward import RewardModel, episode_rewards
 from giirl_core.types import Action, Goal, Verb
-from learner.algorithms import ALGORITHMS
+from learner.algorithms import LOOPS
 from learner.data import Replay, collate_steps, featurise_trajectory, last_step, steps_of
 from learner.discriminator import Discriminator
 from learner.learner import Learner
@@ -192,7 +193,7 @@ class Recorder:
 def test_each_baseline_uses_what_it_may_and_nothing_else(algorithm: str, calls: list[str]) -> None:
     learner: Any = Recorder()
     source: Any = SimpleNamespace(take=lambda episodes: "take")
-    ALGORITHMS[algorithm](Config(), learner, source, range(1), lambda step, stats: None)
+    LOOPS[algorithm](Config(), learner, source, range(1), lambda step, stats: None)
     assert learner.calls == calls
 
 

@@ -13,8 +13,8 @@ from giirl_core.config import Config, DiscriminatorConfig, StreamConfig
 from giirl_core.config import NetConfig as Net
 from giirl_core.metrics import Metrics
 from giirl_core.types import UNSCORED, Trajectory
-from learner.discriminator import ACCURACY, EXPERT
 from learner.learner import Learner
+from learner.protocols import ACCURACY, EXPERT
 from tests.learner.samples import WIDTH, expert_episodes
 
 SMALL = DiscriminatorConfig(batch=16, updates=1)

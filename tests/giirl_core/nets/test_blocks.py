@@ -10,7 +10,8 @@ import torch
 from torch import Tensor, nn
 
 from giirl_core.config import NetConfig
-from giirl_core.nets.batch import Batch, collate, collate_actions
+from giirl_core.nets.action_batch import collate_actions
+from giirl_core.nets.batch import Batch, collate
 from giirl_core.nets.features import CLASS, ELEMENT_WORDS, TAG, featurise
 from giirl_core.nets.models import PolicyNet, RewardNet
 from giirl_core.types import Action, Goal, Page, Verb

@@ -11,7 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from giirl_core.nets.batch import ActionBatch, Batch, collate, collate_actions, rename
+from giirl_core.nets.action_batch import ActionBatch, collate_actions
+from giirl_core.nets.augment import rename
+from giirl_core.nets.batch import Batch, collate
 from giirl_core.nets.features import ELEMENT_WORDS, OPEN, POSITION, WORD, WORDS, Features, featurise
 from giirl_core.nets.language import FIRST_WORD, PADDING, UNKNOWN, load_vectors
 from giirl_core.nets.models import PolicyNet, RewardNet

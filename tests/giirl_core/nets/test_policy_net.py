@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from giirl_core.config import NetConfig
-from giirl_core.nets.batch import ActionBatch, Batch, collate_actions, join, random_actions, random_logp
+from giirl_core.nets.action_batch import ActionBatch, collate_actions, join, random_actions, random_logp
+from giirl_core.nets.batch import Batch
 from giirl_core.nets.encoder import nearness
 from giirl_core.nets.models import PolicyNet
 from giirl_core.types import Action, Goal, Page, Verb

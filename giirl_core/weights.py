@@ -1,0 +1,27 @@
+"""A net's parameters at one learner step, as bytes with a checksum."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Weights:
+    """The parameters of a net at one learner step, as safetensors bytes with a checksum."""
+
+    version: int  # learner step
+    blob: bytes
+    digest: str  # sha256 of blob, hex
+
+    @classmethod
+    def seal(cls, version: int, blob: bytes) -> Weights:
+        """Weights with the checksum of `blob`."""
+        return cls(version=version, blob=blob, digest=hashlib.sha256(blob).hexdigest())
+
+    def check(self) -> None:
+        """Raise ValueError when the checksum does not match the blob."""
+        if (found := hashlib.sha256(self.blob).hexdigest()) != self.digest:
+            raise ValueError(
+                f"weights version {self.version} are corrupt: sha256 {found[:12]}, wanted {self.digest[:12]}"
+            )
