@@ -75,6 +75,7 @@ class Uplink:
         self._finished = 0
         self._notices = 0
         self._leaving = False
+        self.idle_share = 0.0  # of the tabs, as the worker sees it
         self._connect(address)
 
     def startable(self, unfinished: int) -> int:
@@ -233,6 +234,7 @@ class Uplink:
             finished=self._finished,
             full=self._leaving or 2 * self._kept_bytes >= self._limits.max_kept_bytes,
             before=self._counter.before,
+            idle_share=self.idle_share,
         )
         now_s = time.monotonic()
         if self._dealer.send(delivery.encode_notice(notice)):

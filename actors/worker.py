@@ -6,6 +6,7 @@ Playing does not wait for the other two: while episodes are scored and delivered
 from __future__ import annotations
 
 import logging
+import math
 import queue
 import threading
 import time
@@ -22,6 +23,7 @@ from giirl_core.wire.score_client import ScoreClient
 
 LOG = logging.getLogger(__name__)
 NO_VERSION = -1
+IDLE_S = 5.0  # over which idle tabs are averaged
 POLL_S = 0.005  # between polls of the sockets while the actor does not play
 OUTAGE_S, MAX_OUTAGE_S = 5.0, 60.0  # after a failed request the reward service is left alone so long; doubles each time
 
@@ -66,7 +68,9 @@ class Worker:
         self._stop = threading.Event()
         self._commit_timeout_s = 0.0
         self._played_version = NO_VERSION  # in lock-step: the version whose share has been started
+        self._tabs = browser.tabs
         self._playing = 0  # episodes
+        self._idle = _Average()
         self._outage_end_s, self._outage_s = 0.0, OUTAGE_S  # of the reward service
 
     def load(self, weights: Weights) -> None:
@@ -190,6 +194,7 @@ class Worker:
             self._outage_end_s, self._outage_s = 0.0, OUTAGE_S
             assert isinstance(episode, Episode)
             self._uplink.submit(replace(episode, trajectory=episode.trajectory.with_rewards(rewards, version)))
+        self._uplink.idle_share = self._idle.update(1 - self._playing / self._tabs)
         self._uplink.poll()
         if self._uplink.silent_for_s > self._limits.orphan_timeout_s:
             raise Orphaned(f"no message from the learner for {self._limits.orphan_timeout_s:.0f} s")
@@ -214,3 +219,17 @@ class Worker:
             LOG.warning("rejected policy weights: %s", error)
             return
         self._metrics.policy_version.set(weights.version)
+
+
+class _Average:
+    """An average over time that forgets."""
+
+    def __init__(self) -> None:
+        self._value, self._updated_s = 0.0, time.monotonic()
+
+    def update(self, value: float) -> float:
+        """Count `value` for the time since the last update; returns the average."""
+        now_s = time.monotonic()
+        weight = 1 - math.exp((self._updated_s - now_s) / IDLE_S)
+        self._value, self._updated_s = self._value + weight * (value - self._value), now_s
+        return min(max(self._value, 0.0), 1.0)

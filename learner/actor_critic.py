@@ -44,7 +44,7 @@ class ActorCritic:
         mask = torch.arange(max(lengths)) < torch.tensor(lengths).unsqueeze(1)
         behaviour = torch.from_numpy(pad([example.trajectory.behaviour_logp for example in rollouts]))
         proposal = torch.logaddexp(drawn_logp, random_logp(batch, sampled))  # half the policy's, half uniform
-        device = self.net.encoder.table.device
+        device = self.net.device
         pages, actions, paid = batch.to(device), join(taken, sampled).to(device), torch.cat(list(rewards)).to(device)
         behaviour, proposal, mask = behaviour.to(device), proposal.to(device), mask.to(device)
         stats: dict[str, float] = {}

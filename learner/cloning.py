@@ -26,6 +26,7 @@ class Cloner:
         batch, actions = collate_steps(steps_of(expert))
         if self.config.rename_prob:
             batch = rename(batch, actions, self.config.rename_prob, self.config.position_jitter, self._generator)
+        batch, actions = batch.to(self.net.device), actions.to(self.net.device)
         with timed_update(self._metrics, "cloning"):
             logp, entropy = self.net.evaluate(self.net.encoder(batch), actions)
             loss = -logp.mean()

@@ -72,6 +72,12 @@ class Discriminator:
         self.accuracy = 1.0  # of late: the mean share of expert steps, and of the newest rollouts', on their own side
         self.optimiser = torch.optim.Adam(model.net.parameters(), lr=config.learning_rate, fused=True)
         self._rng, self._generator = rng, generator
+        self._used = {"service": 0, "learner": 0}  # rewards, by who computed them
+
+    @property
+    def service_share(self) -> float:
+        """The share of the rewards used so far that the reward service computed."""
+        return round(self._used["service"] / max(sum(self._used.values()), 1), 4)
 
     def update(self, expert: Sequence[Example], rollouts: Sequence[Example], policy: PolicyNet) -> dict[str, float]:
         """Train on fresh draws from `expert`, `rollouts` and the other sources; returns loss and accuracies.
@@ -107,6 +113,7 @@ class Discriminator:
         for source, wanted in (("service", True), ("learner", False)):
             used = sum(part.numel() for part, fresh in zip(rewards, carried, strict=True) if fresh is wanted)
             self._metrics.rewards_used.labels(source).inc(used)
+            self._used[source] += used
         return rewards
 
     @torch.no_grad()
@@ -165,7 +172,7 @@ class Discriminator:
         """
         if not self.config.policy_on_expert_states:
             return random
-        device = policy.encoder.table.device
+        device = policy.device
         uniform = torch.rand(len(shown), self.config.updates, 3, generator=self._generator).to(device)
         own, _ = policy.sample(policy.encoder(collate([step.features for step in shown]).to(device)), uniform)
         return random.replace_first(own.to(random.verb.device))

@@ -23,6 +23,7 @@ from giirl_core.wire.messages import read_episodes, write_episodes
 from learner.actor_critic import ActorCritic
 from learner.cloning import Cloner
 from learner.data import Example, ExpertSampler, Replay, carried_rewards, featurise_trajectory
+from learner.devices import learner_device
 from learner.discriminator import Discriminator
 from learner.schedules import anneal, anneal_reward, linear_decay
 from learner.soft_q import SoftQ
@@ -40,9 +41,12 @@ class Learner:
         self._generator = torch.Generator().manual_seed(config.seed)
         self.demos = ExpertSampler(demonstrations, self.vectors, self._rng)
         self.replay = Replay(config.discriminator.replay_size, self._rng)
+        device = learner_device(config)
+        reward = build_reward(config)
+        reward.net.to(device)
         self.discriminator = Discriminator(
             config.discriminator,
-            build_reward(config),
+            reward,
             self.demos,
             self.replay,
             self._rng,
@@ -50,7 +54,7 @@ class Learner:
             reward_lag=config.stream.reward_lag,
             metrics=metrics,
         )
-        net = build_policy(config)
+        net = build_policy(config).to(device)
         self.policy = ActorCritic(config.policy, net, metrics=metrics)
         self.cloner = Cloner(config.cloning, net, self._generator, metrics=metrics)
         self.soft_q = SoftQ(

@@ -67,10 +67,12 @@ class SoftQ:
             batch = rename(batch, actions, config.rename_prob, config.position_jitter, self._generator)
             self._generator.set_state(state)
             later = rename(later, actions, config.rename_prob, config.position_jitter, self._generator)
+        device = self.net.device
+        batch, actions, later = batch.to(device), actions.to(device), later.to(device)
         seen = self.net.encoder(batch)
         logp, entropy = self.net.evaluate(seen, actions)
         value = self.net.state_value(seen)
-        goes_on = torch.tensor([there is not None for there in ahead])
+        goes_on = torch.tensor([there is not None for there in ahead], device=device)
         following = self._values_ahead(later, goes_on)
         q = value + config.temperature * logp.squeeze(1)
         implied, drop = q - config.gamma * following, value - config.gamma * following

@@ -9,6 +9,7 @@ from pathlib import Path
 from actors.agents import PolicyAgent
 from actors.browser import open_browser
 from actors.rollouts import play_pages
+from giirl.run.throughput import StreamState
 from giirl_core.config import Config
 from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
@@ -62,6 +63,10 @@ class SerialRuntime:
             replace(episode, trajectory=episode.trajectory.with_rewards(scored, self._reward_version))
             for episode, scored in zip(finished, rewards, strict=True)
         ]
+
+    def stream(self) -> StreamState:
+        """Nothing is stale or idle where everything is played when it is taken."""
+        return StreamState()
 
     def addresses(self) -> dict[str, str]:
         """There are no other processes."""

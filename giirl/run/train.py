@@ -18,6 +18,7 @@ from giirl.run.demonstrations import collect_demonstrations
 from giirl.run.evaluate import evaluate
 from giirl.run.folder import RunFolder
 from giirl.run.serial import SerialRuntime
+from giirl.run.throughput import StreamState, Throughput, in_words
 from giirl.run.workers import WorkersRuntime
 from giirl.signals import Stopped, raise_if, stopping
 from giirl.statistics import WINDOW, lowest_window
@@ -30,6 +31,7 @@ from giirl_core.types import Episode, Trajectory
 from giirl_core.weights import Weights
 from learner.algorithms import LOOPS
 from learner.checkpoint import latest_checkpoint, save_checkpoint
+from learner.devices import learner_threads
 from learner.learner import Learner
 
 COUNTS = "counts.json"  # in a checkpoint
@@ -43,6 +45,10 @@ class Runtime(Protocol):
 
     def take(self, episodes: int) -> list[Episode]:
         """At least so many new episodes, with rewards; an empty list when the run should stop."""
+
+    def stream(self) -> StreamState:
+        """How the stream of episodes does."""
+        ...
 
     def addresses(self) -> dict[str, str]:
         """Metrics addresses "host:port" of the other processes, by name."""
@@ -67,7 +73,7 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
     """
     since_s = time.monotonic()
     metrics, stop = Metrics(), Event()
-    torch.set_num_threads(1)  # the nets are small, and Chrome needs the other cores
+    torch.set_num_threads(learner_threads(config))
     own = metrics.serve(config.metrics.host, config.metrics.port)
     try:
         if resume is None:
@@ -96,6 +102,7 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
         "training_episodes": session.episodes,
         "demonstrations": {task: sum(d.task == task for d in demonstrations) for task in config.tasks},
         "lowest_last_third": session.lowest_last_third(),
+        "flow": {**session.throughput.total(), "service_reward_share": learner.discriminator.service_share},
         "parameters_sha256": learner.hash(),
     }
 
@@ -121,6 +128,7 @@ class Session:
         self._consistent = True  # False between take and observe, when a checkpoint would lose rollouts
         self._targets: dict[str, str] = {}
         self._recent = {task: deque[int](maxlen=WINDOW) for task in config.tasks}
+        self.throughput = Throughput()
         self._since_s = time.monotonic()
         self.seconds_before = 0.0  # of the sessions before this one was resumed
         self.env_steps = 0  # in the episodes that the learner took
@@ -167,7 +175,8 @@ class Session:
     def take(self, episodes: int) -> list[Trajectory]:
         """Rollouts for the training loop. Their outcomes stay here and are only reported."""
         assert self._runtime is not None
-        self._rollouts = self._runtime.take(episodes)
+        with self.throughput.waiting():
+            self._rollouts = self._runtime.take(episodes)
         if not self._rollouts:
             raise Stopped
         self._consistent = False
@@ -201,11 +210,13 @@ class Session:
         outcomes: dict[str, list[int]] = {task: [] for task in self._config.tasks}
         for episode in self._rollouts:
             outcomes[episode.trajectory.task].append(int(episode.outcome.success))
-        self._folder.append_curve(
-            {**self._counts(), "outcomes": outcomes, **{k: round(v, 4) for k, v in stats.items()}}
-        )
+        lags = [step - episode.trajectory.policy_version for episode in self._rollouts]
+        self.throughput.add(lags, sum(len(episode.trajectory) for episode in self._rollouts), self._runtime.stream())
+        rates = self.throughput.recent()
+        numbers = {k: round(v, 4) for k, v in stats.items()}
+        self._folder.append_curve({**self._counts(), "outcomes": outcomes, **numbers, "flow": rates})
         self._runtime.publish(*self._learner.weights())
-        self._job.advance(1, self._recent_success(outcomes))
+        self._job.advance(1, f"{self._recent_success(outcomes)}; {in_words(rates)}")
         self._update_targets()
         if (step + 1) % self._config.checkpoint_every == 0 or step + 1 == self._config.iterations:
             self._save()

@@ -14,6 +14,7 @@ from threading import Event
 
 from giirl.run.fleet import POLL_S, Fleet
 from giirl.run.folder import RunFolder
+from giirl.run.throughput import StreamState
 from giirl_core.config import Config
 from giirl_core.metrics import Metrics
 from giirl_core.processes.supervision import Platform
@@ -104,6 +105,10 @@ class WorkersRuntime:
                 self._taken += len(taken)
                 return taken
         return []
+
+    def stream(self) -> StreamState:
+        """How many episodes were dropped as stale, and how much of their time the actors' tabs are idle."""
+        return StreamState(stale=self._ingest.stale, actors_idle=self._ingest.idle_share)
 
     def addresses(self) -> dict[str, str]:
         """The metrics address of each process that is up, by its name."""

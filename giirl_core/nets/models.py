@@ -31,6 +31,11 @@ class PolicyNet(nn.Module):
         self.end = nn.Linear(2 * width, width)
         self.value = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 1))
 
+    @property
+    def device(self) -> torch.device:
+        """Where the net computes."""
+        return self.encoder.table.device
+
     def pairs(self, seen: Encoding) -> Tensor:
         """[B, E * verbs] log-probabilities of (element, verb) pairs; click needs a leaf, type a field."""
         batch = seen.batch

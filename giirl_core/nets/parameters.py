@@ -42,7 +42,7 @@ def hash_nets(*nets: nn.Module) -> str:
     for net in nets:
         for name, tensor in sorted(net.state_dict().items()):
             digest.update(name.encode())
-            digest.update(tensor.numpy().tobytes())
+            digest.update(tensor.cpu().numpy().tobytes())
     return digest.hexdigest()
 
 

@@ -69,8 +69,11 @@ class Notice:
     finished: int  # number of episodes finished in this incarnation: sequences 0 to finished - 1
     full: bool = False  # the actor keeps so many copies that it needs a checkpoint to go on
     before: IncarnationCounts = ()  # earlier incarnations that are not settled
+    idle_share: float = 0.0  # of the actor's tabs, because it may start no episode
 
     def __post_init__(self) -> None:
+        if not 0 <= self.idle_share <= 1:
+            raise ValueError(f"Notice.idle_share is {self.idle_share}, wanted a share from 0 to 1")
         if min(self.number, self.finished - self.stamp.sequence) < 0:
             raise ValueError(
                 f"Notice has number {self.number}, finished {self.finished} and sequence {self.stamp.sequence}, "
@@ -127,6 +130,7 @@ def encode_notice(notice: Notice) -> bytes:
             "number": notice.number,
             "finished": notice.finished,
             "full": notice.full,
+            "idle_share": notice.idle_share,
             "before": [list(pair) for pair in notice.before],
         }
     )
@@ -167,6 +171,7 @@ def read_notice(header: Header, stamp: Stamp) -> Notice:
             number=read_field(header, "number", int),
             finished=read_field(header, "finished", int),
             full=read_field(header, "full", bool),
+            idle_share=read_field(header, "idle_share", float),
             before=tuple((entry[0], entry[1]) for entry in before),
         )
 

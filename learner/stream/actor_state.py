@@ -22,6 +22,7 @@ class ActorState:
     notice: int = 0  # number of the last notice received
     full: bool = False  # the actor's buffer is nearly full, so it asked for a checkpoint
     queued: int = 0  # episodes waiting in the learner's queue
+    idle_share: float = 0.0  # of its tabs, of late
     peer: bytes | None = None  # ZeroMQ identity; None after a BYE, or when only known from a checkpoint
     last_heard_s: float = 0.0  # monotonic time
 
@@ -65,7 +66,7 @@ class ActorState:
         """Apply a notice from the actor."""
         self.notice = max(self.notice, notice.number)
         self.finished = max(self.finished, notice.finished)
-        self.full = notice.full
+        self.full, self.idle_share = notice.full, notice.idle_share
 
     def skip_to(self, sequence: int) -> int:
         """Acknowledge every sequence number below `sequence`; returns how many of those episodes never arrived."""

@@ -76,6 +76,15 @@ class Admission:
         """Whether an actor has to wait for a checkpoint before it can go on."""
         return any(actor.wants_commit for actor in self._actors.values())
 
+    @property
+    def stale(self) -> int:
+        return self._counts["stale"] + self._counts["stale_queued"]
+
+    @property
+    def idle_share(self) -> float:
+        shares = [actor.idle_share for actor in self._actors.values() if actor.peer is not None]
+        return sum(shares) / max(len(shares), 1)
+
     def receive(self, peer: bytes, message: bytes) -> bytes | None:
         """Process one message from an actor; returns the reply to send at once, if any."""
         try:
@@ -134,8 +143,7 @@ class Admission:
         batch, self._pulled = self._pulled[:episodes], self._pulled[episodes:]
         for episode in batch:
             self._observe_lag(episode, version)
-        stale = self._counts["stale"] + self._counts["stale_queued"]
-        self._flow.observe([version - episode.trajectory.policy_version for episode in batch], stale)
+        self._flow.observe([version - episode.trajectory.policy_version for episode in batch], self.stale)
         self._counts[TAKEN] += len(batch)
         return batch if self._limits.max_lag else sorted(batch, key=_page)
 

@@ -118,6 +118,18 @@ class Ingest:
         with self._lock:
             return self._admission.queued
 
+    @property
+    def stale(self) -> int:
+        """Episodes dropped as stale in this history."""
+        with self._lock:
+            return self._admission.stale
+
+    @property
+    def idle_share(self) -> float:
+        """The share of their tabs that the connected actors leave idle, because the learner takes no more."""
+        with self._lock:
+            return self._admission.idle_share
+
     def close(self) -> None:
         """Stop the thread and release the port."""
         self._stop.set()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -57,7 +58,7 @@ class RecordingUplink:
 
 
 def make_worker(scorer: SilentScorer, uplink: RecordingUplink, schedule: Any, metrics: Metrics) -> Worker:
-    browser: Any = None
+    browser: Any = SimpleNamespace(tabs=1)
     fakes: Any = (scorer, uplink)
     limits = WorkerLimits(step_limit=3, flush_timeout_s=0.05)
     return Worker(browser, PolicyAgent(policy(), vectors()), schedule, *fakes, limits=limits, metrics=metrics)
