@@ -57,6 +57,38 @@ def farm(tasks: tuple[str, ...], rounds: int, seconds: float, json_file: Path | 
         write_json(json_file, found)
 
 
+@bench.command()
+@click.option("--before", default="", metavar="COMMIT", help="Compare with this commit, in turns.")
+@click.option("--turns", default=3, show_default=True, type=click.IntRange(1), help="Turns of each side.")
+@JSON
+def learner(before: str, turns: int, json_file: Path | None) -> None:
+    """The learner's CPU time on a fixture of pages: four tasks, fifty-two tasks, cloning."""
+    from benchmarks.learner import measure
+
+    _report(measure(Display(), before=before, turns=turns), json_file)
+
+
+@bench.command()
+@click.option("--actors", default=1, show_default=True, type=click.IntRange(1), help="Actors of the run.")
+@click.option("--tabs", default=8, show_default=True, type=click.IntRange(1), help="Tabs of each actor.")
+@click.option("--case", "cases", multiple=True, type=click.Choice(["four", "mix"]), help="Only this one.")
+@JSON
+def training(actors: int, tabs: int, cases: tuple[str, ...], json_file: Path | None) -> None:
+    """A whole run in Chrome compared with the bare farm: steps per second, CPU shares, waiting."""
+    from benchmarks.training import measure
+
+    _report(measure(Display(), actors=actors, tabs=tabs, cases=cases or ("four", "mix")), json_file)
+
+
+def _report(found: dict[str, Any], json_file: Path | None) -> None:
+    """Print every number, and write the JSON."""
+    for group, values in found.items():
+        for name, value in values.items() if isinstance(values, dict) else [("", values)]:
+            click.echo(f"{group}.{name} = {value}" if name else f"{group} = {value}")
+    if json_file is not None:
+        write_json(json_file, found)
+
+
 def _transport_command(name: str) -> click.Command:
     @click.command(name, help=TRANSPORT[name])
     @JSON
