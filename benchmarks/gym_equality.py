@@ -76,8 +76,8 @@ class Reference:
 
 def move(env: MiniWoB, task: str) -> MiniWoB:
     """Our environment likewise: all tasks in one tab."""
-    env.package = MiniWoBAdapter.of(task)
-    env._place = EnvSlot(env.package)
+    env.adapter = MiniWoBAdapter.of(task)
+    env._slot = EnvSlot(env.adapter)
     return env
 
 

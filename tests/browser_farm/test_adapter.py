@@ -117,14 +117,20 @@ def test_every_key_of_the_presets_has_a_name() -> None:
         ("there is no MiniWoB task 'clik-test'", lambda: MiniWoBAdapter.of("clik-test")),
         ("Unknown preset", lambda: MiniWoBAdapter.of("click-test", "all")),
         (
-            "the key '<Help>' has no meaning",
+            "the key '<Help>' is not supported",
             lambda: MiniWoBAdapter.of(
                 "click-test", ActionSpaceConfig([ActionTypes.PRESS_KEY], allowed_keys=["<Help>"])
             ),
         ),
-        ("no action of enter-text", lambda: MiniWoBAdapter.of("enter-text").command({"action_type": 99}, page(), [])),
-        ("no action of enter-text", lambda: MiniWoBAdapter.of("enter-text").command({"action_type": 8}, page(), [])),
-        ("no action of enter-text", lambda: MiniWoBAdapter.of("enter-text").command(7, page(), [])),  # type: ignore[arg-type]
+        (
+            "is not an action of enter-text",
+            lambda: MiniWoBAdapter.of("enter-text").command({"action_type": 99}, page(), []),
+        ),
+        (
+            "is not an action of enter-text",
+            lambda: MiniWoBAdapter.of("enter-text").command({"action_type": 8}, page(), []),
+        ),
+        ("is not an action of enter-text", lambda: MiniWoBAdapter.of("enter-text").command(7, page(), [])),  # type: ignore[arg-type]
         ("data_mode is 'exam'", lambda: ResetOptions(data_mode="exam")),
         ("reset got option 'speed'", lambda: ResetOptions().updated({"speed": 1})),
     ],

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from browser_farm.farm import ChromeFarm
-from browser_farm.tasks import STICKY, tasks
+from browser_farm.tasks import STATEFUL_TASKS, tasks
 from giirl_core.types import Action, Command, EpisodeSpec, Observation, StepResult, Verb
 from tests.browser_farm.real_farm import seen
 
@@ -86,7 +86,9 @@ def test_same_seed_same_page_in_whatever_tab_and_after_whatever_history(chrome: 
 
 @pytest.mark.chrome
 @pytest.mark.slow
-@pytest.mark.parametrize("names", [sorted(STICKY)[first : first + TABS] for first in range(0, len(STICKY), TABS)])
+@pytest.mark.parametrize(
+    "names", [sorted(STATEFUL_TASKS)[first : first + TABS] for first in range(0, len(STATEFUL_TASKS), TABS)]
+)
 def test_pages_that_are_loaded_anew_would_carry_something_over_to_the_next_episode(
     chrome: ChromeFarm, names: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,7 +11,7 @@ import threading
 import psutil
 import pytest
 
-from browser_farm.tasks import STICKY
+from browser_farm.tasks import STATEFUL_TASKS
 from giirl_core.types import Command, EpisodeSpec, StepResult, Verb
 from tests.browser_farm.real_farm import Farm, click, seen
 
@@ -42,7 +42,7 @@ def test_the_same_seed_shows_the_same_page_whatever_the_tab_showed_before(farm: 
     fresh = seen(farm.open(task, 42)[0])
     play_anything(farm, task, 12)
     assert [seen(observation) for observation in farm.open(task, 42, 42, 42).values()] == [fresh] * 3
-    assert seen(farm.open(task, 43)[0]) != fresh or task in STICKY
+    assert seen(farm.open(task, 43)[0]) != fresh or task in STATEFUL_TASKS
     assert farm.causes == []
 
 
@@ -95,7 +95,7 @@ def test_no_observation_comes_where_no_episode_follows(farm: Farm) -> None:
     assert farm.chrome.step({0: click(observation, 1, seed=None)})[0] == StepResult(
         raw_reward=1.0, done=True, observation=None
     )
-    with pytest.raises(ValueError, match="tab 0 shows no episode"):
+    with pytest.raises(ValueError, match="tab 0 has no episode"):
         farm.chrome.step({0: click(observation, 1)})
 
 
@@ -168,7 +168,7 @@ def test_a_page_reaches_no_network_not_even_this_machine(farm: Farm) -> None:
         farm.open("click-test", 3)
         address = f"http://127.0.0.1:{port}/"
         fetch = f"fetch('{address}', {{mode: 'no-cors'}}).then(() => 'reached', () => 'refused')"
-        answers = farm.chrome._tabs.evaluate({0: fetch}, promised=True)
+        answers = farm.chrome._tabs.evaluate({0: fetch}, await_promise=True)
         assert answers == {0: "refused"}
     finally:
         listener.kill()

@@ -11,7 +11,7 @@ import pytest
 from browser_farm import pages
 from browser_farm.experts import expert
 from browser_farm.farm import ChromeFarm
-from browser_farm.tasks import STICKY, needs_fresh_document, page_url, tasks
+from browser_farm.tasks import STATEFUL_TASKS, needs_fresh_document, page_url, tasks
 
 
 @pytest.mark.parametrize("variable", ["GIIRL_CHROME", "GIIRL_CHROMEDRIVER"])
@@ -52,7 +52,7 @@ def test_a_task_without_an_expert_names_the_nearest_that_has_one() -> None:
 
 
 def test_every_page_that_needs_a_fresh_document_exists() -> None:
-    assert set(tasks()) >= STICKY
+    assert set(tasks()) >= STATEFUL_TASKS
     assert not needs_fresh_document("click-button")
 
 

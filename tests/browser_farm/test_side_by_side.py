@@ -47,8 +47,8 @@ def test_the_spaces_are_those_of_the_package(reference: Reference, ours: MiniWoB
     for preset in ("all_supported", "shi17", "liu18", "humphreys22"):
         config = ActionSpaceConfig.get_preset(preset)
         config.screen_width, config.screen_height = 160, 210
-        ours.package = type(ours.package).of("click-test", preset)
-        assert ours.package.action_space == config.get_action_space()
+        ours.adapter = type(ours.adapter).of("click-test", preset)
+        assert ours.adapter.action_space == config.get_action_space()
     assert ours.action_space == reference.env.action_space
 
 
