@@ -87,27 +87,27 @@ class FakeFarm:
 
     def __init__(self, *, tabs: int = 8) -> None:
         self.tabs = tabs
-        self._open_tabs: dict[int, Tab] = {}
+        self._open: dict[int, Tab] = {}
 
     def reset(self, episodes: Mapping[int, EpisodeSpec]) -> dict[int, Observation]:
         for tab, episode in episodes.items():
-            self._open_tabs[tab] = _generate(episode)
-        return {tab: _observe(self._open_tabs[tab]) for tab in episodes}
+            self._open[tab] = _generate(episode)
+        return {tab: _observe(self._open[tab]) for tab in episodes}
 
     def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]:
         return {tab: self._step(tab, command) for tab, command in commands.items()}
 
     def _step(self, tab: int, command: Command) -> StepResult:
-        reward = _act(self._open_tabs[tab], command)
+        reward = _act(self._open[tab], command)
         done = reward is not None
         if done or command.last:
             if command.following is None:
                 return StepResult(raw_reward=reward or 0.0, done=done, observation=None)
-            self._open_tabs[tab] = _generate(command.following)
-        return StepResult(raw_reward=reward or 0.0, done=done, observation=_observe(self._open_tabs[tab]))
+            self._open[tab] = _generate(command.following)
+        return StepResult(raw_reward=reward or 0.0, done=done, observation=_observe(self._open[tab]))
 
     def close(self) -> None:
-        self._open_tabs.clear()
+        self._open.clear()
 
 
 def check_task(task: str) -> None:

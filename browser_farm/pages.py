@@ -97,8 +97,8 @@ class View:
         names = (*self.first, *SCRIPTS)
         parts = [source(name) for name in names]
         parts.insert(names.index("frame"), f"const view = {self.reader};")
-        key_codes = json.dumps({**keys.NAMED, **keys.CODES})
-        head = f"(() => {{\nif ('giirlFrame' in window) return;\nconst KEY_CODES = {key_codes};\n"
+        codes = json.dumps({**keys.NAMED, **keys.CODES})
+        head = f"(() => {{\nif ('giirlFrame' in window) return;\nconst KEY_CODES = {codes};\n"
         return head + "\n".join(parts) + "\n})();\n"
 
 

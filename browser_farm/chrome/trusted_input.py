@@ -11,10 +11,10 @@ from giirl_core.types import Command, Verb
 
 # Chrome dispatches input at once to a page that counts as focused; to a hidden page it may wait for a frame.
 EMULATION = (("Emulation.setFocusEmulationEnabled", {"enabled": True}),)
-MOUSE_EVENT, KEY_EVENT = "Input.dispatchMouseEvent", "Input.dispatchKeyEvent"
+MOUSE, KEY = "Input.dispatchMouseEvent", "Input.dispatchKeyEvent"
 DRAG_MOVES = 6
-EDITING_COMMANDS = {"a": "selectAll", "c": "copy", "x": "cut", "v": "paste", "z": "undo"}
-KEY_TEXT = {"Enter": "\r", "Tab": "\t"}
+EDITING = {"a": "selectAll", "c": "copy", "x": "cut", "v": "paste", "z": "undo"}
+WORDS = {"Enter": "\r", "Tab": "\t"}  # text of the keys that are not named by their character
 
 Event = tuple[str, dict[str, Any]]  # DevTools method, parameters
 
@@ -69,7 +69,7 @@ def _events(command: Command, aim: Aim) -> Iterator[Event]:
 
 def _mouse(kind: str, x: float, y: float, **params: Any) -> Event:
     button = "left" if kind in ("mousePressed", "mouseReleased") or params.get("buttons") else "none"
-    return MOUSE_EVENT, {"type": kind, "x": x, "y": y, "button": button, **params}
+    return MOUSE, {"type": kind, "x": x, "y": y, "button": button, **params}
 
 
 def _click(aim: Aim, count: int) -> Iterator[Event]:
@@ -89,20 +89,18 @@ def _drag(aim: Aim) -> Iterator[Event]:
 
 
 def _press(keys: str) -> Iterator[Event]:
-    modifiers, key = chord(keys)
+    held, key = chord(keys)
     if key.isupper():
-        modifiers |= MODIFIERS["Shift"]
-    held = modifiers & (MODIFIERS["Control"] | MODIFIERS["Alt"] | MODIFIERS["Meta"])  # these make no text
-    params: dict[str, Any] = {"key": key, "windowsVirtualKeyCode": key_code(key), "modifiers": modifiers}
+        held |= MODIFIERS["Shift"]
+    command = held & (MODIFIERS["Control"] | MODIFIERS["Alt"] | MODIFIERS["Meta"])
+    params: dict[str, Any] = {"key": key, "windowsVirtualKeyCode": key_code(key), "modifiers": held}
     for name, bit in MODIFIERS.items():
-        if held & bit:
-            code = NAMED[name]
-            yield KEY_EVENT, {"type": "rawKeyDown", "key": name, "windowsVirtualKeyCode": code, "modifiers": modifiers}
-    text = "" if held else key if len(key) == 1 else KEY_TEXT.get(key, "")
-    is_command = held == MODIFIERS["Control"] and key.lower() in EDITING_COMMANDS
-    commands = [EDITING_COMMANDS[key.lower()]] if is_command else []
-    yield KEY_EVENT, {"type": "keyDown" if text else "rawKeyDown", "text": text, "commands": commands, **params}
-    yield KEY_EVENT, {"type": "keyUp", **params}
+        if command & bit:
+            yield KEY, {"type": "rawKeyDown", "key": name, "windowsVirtualKeyCode": NAMED[name], "modifiers": held}
+    text = "" if command else key if len(key) == 1 else WORDS.get(key, "")
+    commands = [EDITING[key.lower()]] if command == MODIFIERS["Control"] and key.lower() in EDITING else []
+    yield KEY, {"type": "keyDown" if text else "rawKeyDown", "text": text, "commands": commands, **params}
+    yield KEY, {"type": "keyUp", **params}
     for name, bit in MODIFIERS.items():
-        if held & bit:
-            yield KEY_EVENT, {"type": "keyUp", "key": name, "windowsVirtualKeyCode": NAMED[name]}
+        if command & bit:
+            yield KEY, {"type": "keyUp", "key": name, "windowsVirtualKeyCode": NAMED[name]}

@@ -193,12 +193,12 @@ def chord_of(name: str) -> str:
         key = key[2:]
     if key.startswith("<") and key.endswith(">"):
         key = KEY_CHARACTERS.get(key[1:-1], key[1:-1]).removeprefix("Numpad").removeprefix("Right")
-    chord = "+".join([*modifiers, key])
+    wanted = "+".join([*modifiers, key])
     try:
-        keys.chord(chord)
+        keys.chord(wanted)
     except ValueError as error:
         raise ValueError(f"the key {name!r} is not supported: {error}") from error
-    return chord
+    return wanted
 
 
 def dom_elements(page: Elements) -> list[dict[str, Any]]:

@@ -106,4 +106,4 @@ class Inspector:
 def _picture(browser: Browser, window: Box) -> bytes | None:
     if not isinstance(browser, ChromeFarm):
         return None
-    return browser.screenshot_png(TAB, (window.x, window.y, window.width, window.height), scale=DOTS) or None
+    return browser.picture(TAB, (window.x, window.y, window.width, window.height), scale=DOTS) or None

@@ -176,7 +176,7 @@ def test_an_episode_that_is_always_lost_is_given_up_and_the_others_are_played() 
 
     class Cursed(FakeFarm):
         def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]:
-            ending = {tab for tab in commands if self._open_tabs[tab].episode.seed == cursed}
+            ending = {tab for tab in commands if self._open[tab].episode.seed == cursed}
             results = super().step(commands)
             return {tab: replace(r, lost="page_hung") if tab in ending else r for tab, r in results.items()}
 

@@ -43,7 +43,7 @@ def test_without_chrome_a_run_ends_at_once_with_one_line_that_says_how_to_get_it
     lines = [line for line in said.splitlines() if line.startswith("giirl:")]
     assert len(lines) == 1, said
     assert lines[0] == said.splitlines()[-1]
-    assert "GIIRL_CHROME=/nonexistent is not an executable file" in lines[0]
+    assert "GIIRL_CHROME=/nonexistent is no program" in lines[0]
     assert "apt-get install chromium chromium-driver" in lines[0]
     assert "Traceback" not in said
     assert left == []
