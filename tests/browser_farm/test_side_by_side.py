@@ -1,6 +1,6 @@
-"""Our environment beside the miniwob package's own: same seeds, same actions, every field of every observation.
+"""Compares our environment with the miniwob package's: same seeds, same actions, every field of every observation.
 
-A sample of the tasks; `python -m benchmarks.gym_equality` goes through all of them.
+Only some tasks; `python -m benchmarks.gym_equality` compares all of them.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ pytestmark = [pytest.mark.chrome, pytest.mark.slow]
 
 TASKS = [
     "click-button",
-    "click-dialog-2",  # what has the focus looks different
-    "click-pie-nodelay",  # SVG, drawn with the frames after the start
+    "click-dialog-2",  # the focused element has a style of its own
+    "click-pie-nodelay",  # SVG that is drawn in the first animation frames
     "choose-list",
-    "email-inbox-nl-turk",  # the page names the fields itself
+    "email-inbox-nl-turk",  # the page itself returns the fields
     "enter-text",
     "text-transform",  # lines of bare text
     "use-slider",
