@@ -79,7 +79,7 @@ def find(variable: str, names: tuple[str, ...], what: str) -> Path:
     if given:
         if os.access(given, os.X_OK) and Path(given).is_file():
             return Path(given)
-        raise ChromeMissing(f"{variable}={given} is no program: wanted the path of {what} ({INSTALL})")
+        raise ChromeMissing(f"{variable}={given} is not a program: wanted the path of {what} ({INSTALL})")
     for name in names:
         path = shutil.which(name)
         if path:
