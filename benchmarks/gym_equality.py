@@ -78,8 +78,8 @@ class PackageEnv:
 
 def switch_task(env: MiniWoB, task: str) -> MiniWoB:
     """Our environment, set to a task from its next reset on: all tasks share one tab."""
-    env.package = MiniWoBAdapter.of(task)
-    env._place = EnvSlot(env.package)
+    env.adapter = MiniWoBAdapter.of(task)
+    env._slot = EnvSlot(env.adapter)
     return env
 
 

@@ -144,7 +144,7 @@ def main() -> None:
         env.close()
         envs.close()
     result = {"task": TASK, "sides": sides, "load_before": load, "load_after": os.getloadavg()}
-    click.echo(json.dumps(result, indent=1))
+    click.echo(json.dumps(result, indent=2))
     if arguments.json:
         write_json(arguments.json, result)
 

@@ -27,7 +27,7 @@ GLOVE_BYTES = 400_000 * 50 * 4  # words, numbers per word, bytes per number
 VERSION_TIMEOUT_S = 20.0
 REINSTALL = "make install"
 PAGES = tuple(f"miniwob/{task}.html" for task in ("click-test", "click-test-2", "click-button", "enter-text"))
-DEVELOPMENT = "dev"  # the extra for work on GIIRL itself, which a run does not need
+SKIPPED_EXTRAS = ("all", "dev")  # "all" repeats the other extras, "dev" is for work on GIIRL itself
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,17 +107,14 @@ def same_major(chrome: Check, driver: Check) -> Check:
 
 
 def dependencies() -> list[Dependency]:
-    """What the metadata of the installed giirl requires, with the extra of each; without the development tools.
-
-    An extra that only repeats others, as giirl[a,b], adds nothing.
-    """
+    """What the metadata of the installed giirl requires, with the extra of each; without SKIPPED_EXTRAS."""
     found = []
     for line in importlib.metadata.requires("giirl") or ():
         name = re.match(r"[\w.-]+", line)
         extra = re.search(r"""extra\s*==\s*['"]([\w.-]+)['"]""", line)
         assert name is not None
         dependency = Dependency(name.group(), extra.group(1) if extra else "")
-        if dependency.distribution != "giirl" and dependency.extra != DEVELOPMENT:
+        if dependency.extra not in SKIPPED_EXTRAS:
             found.append(dependency)
     return found
 

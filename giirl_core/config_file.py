@@ -30,7 +30,7 @@ def load_config(path: Path | None, overrides: Sequence[str] = ()) -> Config:
     for override in overrides:
         key, equals, text = override.partition("=")
         if not equals or not key:
-            raise ValueError(f"{override!r} is no override: wanted key=value, for example seed=1")
+            raise ValueError(f"{override!r} is not an override: wanted key=value, for example seed=1")
         _set(tree, key, _value(text, defaults.get(key)))
     return parse_config(tree, where)
 

@@ -28,7 +28,7 @@ MAX_FILE_LINES = 300
 MAX_MODULES = 15  # of a folder, without __init__.py
 
 # A package may import from the packages with a lower number only.
-FLOOR = {
+LEVEL = {
     "giirl": 4,
     "benchmarks": 3,
     "actors": 2,
@@ -38,7 +38,7 @@ FLOOR = {
     "gridcraft": 1,
     "giirl_core": 0,
 }
-MODULE_PATH = re.compile(rf"\b(?:{'|'.join(sorted(FLOOR, key=len, reverse=True))})(?:\.\w+)+")
+MODULE_PATH = re.compile(rf"\b(?:{'|'.join(sorted(LEVEL, key=len, reverse=True))})(?:\.\w+)+")
 
 # Files with the path of a module in a string. `__init__.py` registers entry points and lists public names to be loaded
 # when they are first used; the others name a package with templates, and the command that made a result or a page.
@@ -109,7 +109,7 @@ def arrows(path: Path) -> set[tuple[str, str]]:
     """(this package, another) for each package that a file imports, anywhere in the file, or names in a string."""
     package = path.relative_to(ROOT).parts[0]
     others = {module.split(".")[0] for module in imports(path) | named_modules(path)}
-    return {(package, other) for other in others if other in FLOOR and other != package}
+    return {(package, other) for other in others if other in LEVEL and other != package}
 
 
 def pickling(path: Path) -> list[str]:
@@ -143,12 +143,12 @@ def test_one_module_alone_knows_each_library_that_talks_to_the_outside(library: 
     assert importers <= {SOLE_IMPORTER[library]}
 
 
-def test_no_package_imports_from_a_package_beside_or_above_it() -> None:
+def test_no_package_imports_from_a_package_on_its_level_or_above() -> None:
     upward = {
         f"{name(path)} -> {other}"
         for path in sources(*PACKAGES)
         for package, other in arrows(path)
-        if FLOOR[other] >= FLOOR[package]
+        if LEVEL[other] >= LEVEL[package]
     }
     assert upward == set()
 
@@ -190,7 +190,7 @@ def test_actions_have_one_address() -> None:
     assert importers == {"giirl_core/sampled_actions.py", "giirl_core/types.py"}
 
 
-def test_a_folder_has_few_enough_modules_to_be_surveyed() -> None:
+def test_no_folder_has_more_than_max_modules() -> None:
     counts: dict[str, int] = {}
     for path in sources(*PACKAGES, "tests"):
         if path.name != "__init__.py":

@@ -28,23 +28,23 @@ def goal_swap(
     chosen by the page's seed. A tie counts as wrong. Buttons with the same label count as one.
     """
     model = build_reward(config, reward)
-    own = swapped = seen = index = 0
+    own = swapped = used = index = 0
     with closing(open_browser(config, metrics)) as browser, display.job("swapping goals", pages) as job:
-        while seen < pages:
+        while used < pages:
             batch = {
                 tab: EpisodeSpec(task=task, seed=page_seed(Purpose.INSPECT, config.seed, index + tab))
                 for tab in range(browser.tabs)
             }
             index += browser.tabs
-            if index > MAX_UNUSABLE_PAGES and not seen:
+            if index > MAX_UNUSABLE_PAGES and not used:
                 raise ValueError(f"{task} has no page of {index} with two buttons and one named in its goal")
             for observation in browser.reset(batch).values():
                 swap = swap_goal(observation, "button")
-                if swap is None or seen == pages:
+                if swap is None or used == pages:
                     continue
                 own += _best(model, observation.page, observation.goal) == swap.wanted
                 swapped += _best(model, observation.page, swap.goal) == swap.other
-                seen += 1
+                used += 1
                 job.advance()
     return {"own_goal_top1": own / pages, "swapped_goal_top1": swapped / pages, "pages": pages, "task": task}
 

@@ -26,7 +26,7 @@ THESIS = {"click-test": 1.00, "click-test-2": 1.00, "click-button": 0.99, "enter
 
 
 def evaluate(config: Config, policy: Weights, metrics: Metrics, display: Display) -> dict[str, Any]:
-    """Success of the greedy policy and of the random baseline: the `tasks` of a result, one row a task.
+    """Success of the greedy policy and of the random baseline: the `tasks` of a result, one row per task.
 
     The pages have seeds that training, demonstrations and tuning never use.
     """

@@ -53,7 +53,7 @@ def read_rows(file: Path, episodes: int, seed: int) -> dict[str, Any]:
         result = json.loads(file.read_bytes())
         measured, rows = (result["episodes"], result["seed"]), dict(result["tasks"])
     except (ValueError, LookupError, TypeError) as error:
-        raise ValueError(f"{file} is no result of giirl demos experts: {error!r}") from error
+        raise ValueError(f"{file} is not a result of giirl demos experts: {error!r}") from error
     if measured != (episodes, seed):
         raise ValueError(f"{file} has (episodes, seed) {measured}: wanted {(episodes, seed)}, or another file")
     return rows
@@ -76,7 +76,7 @@ def _row(played: Sequence[Episode]) -> dict[str, Any]:
 def experts_table(result: dict[str, Any]) -> Table:
     """For each task: success with its interval, steps, verbs, and whether the nets could learn it."""
     at_99 = sum(row["success"] >= GOOD for row in result["tasks"].values())
-    title = f"scripted experts, {result['episodes']} pages a task, seed {result['seed']}"
+    title = f"scripted experts, {result['episodes']} pages per task, seed {result['seed']}"
     table = Table(title=f"{title}: {at_99} of {len(result['tasks'])} at 99 % or more")
     table.add_column("task", no_wrap=True)
     for name in ("success", "95 %", "median steps", "most"):

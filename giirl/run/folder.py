@@ -51,7 +51,7 @@ class RunFolder:
         """The folder of an earlier run, and its config; ValueError if it is none."""
         folder = cls(path)
         if not folder.config_file.is_file():
-            raise ValueError(f"{path} is no run: there is no {folder.config_file.name} in it")
+            raise ValueError(f"{path} is not a run: it has no {folder.config_file.name}")
         return folder, load_config(folder.config_file)
 
     def discard_unless_begun(self) -> None:

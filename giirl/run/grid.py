@@ -94,7 +94,7 @@ def read_pair(text: str) -> Pair:
     """Parse "red-blue": go to red, avoid blue."""
     goal, dash, avoid = text.partition("-")
     if not dash:
-        raise ValueError(f"{text!r} is no pair of colours: wanted one like 'red-blue', go to red and avoid blue")
+        raise ValueError(f"{text!r} is not a pair of colours: wanted one like 'red-blue', go to red and avoid blue")
     return Pair(goal, avoid)
 
 

@@ -58,12 +58,12 @@ class Tables:
 
 def learned_tables(config: Config, learner: GridLearner, world: World, pair: Pair) -> Tables:
     """The nets evaluated on every state and action under the plain sentence of a pair, trained on or not."""
-    sight = GridFeatures(world, [plain_sentence(pair)], learner.bag, config.grid)
+    features = GridFeatures(world, [plain_sentence(pair)], learner.bag, config.grid)
     form, clip = config.discriminator.reward, config.discriminator.clip
     return Tables(
-        policy=policy_table(learner.behaviour_policy, sight, 0),
-        cloning=policy_table(learner.cloner.net, sight, 0),
-        reward=reward_table(learner.discriminator.net, sight, 0, form, clip),
+        policy=policy_table(learner.behaviour_policy, features, 0),
+        cloning=policy_table(learner.cloner.net, features, 0),
+        reward=reward_table(learner.discriminator.net, features, 0, form, clip),
     )
 
 
@@ -97,10 +97,10 @@ def layout_world(layout: Layout) -> World:
 
 def policy_returns(config: Config, learner: GridLearner, world: World) -> list[float]:
     """The normalised return of the policy under each training pair."""
-    sight = GridFeatures(world, [plain_sentence(pair) for pair in learner.pairs], learner.bag, config.grid)
+    features = GridFeatures(world, [plain_sentence(pair) for pair in learner.pairs], learner.bag, config.grid)
     known = [ground_truth(world, pair) for pair in learner.pairs]
     return [
-        normalized_return(world, policy_table(learner.behaviour_policy, sight, i), true.reward, bounds=true.bounds)
+        normalized_return(world, policy_table(learner.behaviour_policy, features, i), true.reward, bounds=true.bounds)
         for i, true in enumerate(known)
     ]
 

@@ -76,7 +76,7 @@ def test_metrics_have_the_documented_labels(survival: Survival) -> None:
         assert total(survival.healthy["actor-0"], "giirl_episodes_total", task=task) > 0
     for network in ("policy", "reward"):
         assert total(learner, "giirl_gradient_updates_total", network=network) > 0, network
-    accuracy = {dict(labels)["source"]: v for (name, labels), v in learner.items() if name.endswith("_accuracy")}
+    accuracy = {dict(labels)["source"]: v for (name, labels), v in learner.items() if name.endswith("_accuracy_ratio")}
     assert {"expert", "rollouts"} <= set(accuracy)
     assert all(0 <= value <= 1 for value in accuracy.values())
     assert total(learner, "giirl_waiting_seconds_total", reason="rollouts") > 0

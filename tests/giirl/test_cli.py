@@ -101,7 +101,7 @@ def test_train_writes_its_result_to_the_run_folder_and_to_json(giirl: Command, t
         (["--json", "."], "cannot write ."),
         (["run=broken.toml"], "broken.toml is not empty"),
         (["run=broken.toml/run"], "broken.toml/run"),
-        (["--resume", "out"], "out is no run"),
+        (["--resume", "out"], "out is not a run"),
     ],
 )
 def test_an_error_of_train_is_one_line_and_leaves_no_file(
@@ -145,7 +145,7 @@ def test_an_unknown_option_or_command_ends_with_an_error_and_no_traceback(giirl:
 
 @pytest.mark.parametrize("words", [["train", "--resume"], ["evaluate"], ["reward", "goal-swap"]])
 def test_a_folder_that_is_no_run_is_an_error_with_its_name(words: list[str], giirl: Command, tmp_path: Path) -> None:
-    assert "nowhere is no run: there is no config.json in it" in giirl(*words, "nowhere").error
+    assert "nowhere is not a run: it has no config.json" in giirl(*words, "nowhere").error
     assert list(tmp_path.iterdir()) == []
 
 
@@ -245,7 +245,7 @@ def test_demonstrations_made_by_the_command_can_be_counted_and_trained_on(giirl:
         (["make", "--browser", "fake", "--out", "a", "--seed", "70000"], "seed = 70000"),
         (["import", "missing", "--out", "a"], "missing"),
         (["experts", "--task", "click-buton"], "did you mean 'click-button'"),
-        (["experts", "--json", "notes.txt", "--resume"], "notes.txt is no result of giirl demos experts"),
+        (["experts", "--json", "notes.txt", "--resume"], "notes.txt is not a result of giirl demos experts"),
         (["record", "--out", "a"], "there is no screen"),
         (["record", "--out", "a", "--task", "flight.AA"], "flight.AA cannot be recorded"),
     ],

@@ -126,7 +126,7 @@ def test_held_out_pairs_are_not_trained_on_and_named_layouts_come_first() -> Non
 @pytest.mark.parametrize(
     ("grid", "message"),
     [
-        (GridConfig(goals=("red",)), "'red' is no pair of colours"),
+        (GridConfig(goals=("red",)), "'red' is not a pair of colours"),
         (GridConfig(goals=("red-pink",)), "there is no colour 'pink'"),
         (GridConfig(goals=("red-blue",), held_out=("red-blue",)), "holds every goal out"),
         (GridConfig(held_out=("red-yellow",)), "which is none of the 6 goals"),

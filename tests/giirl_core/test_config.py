@@ -54,8 +54,8 @@ def test_a_dumped_config_loads_as_the_same_config(
         ("tasks=[]", "tasks = "),
         ("policy=3", "policy = 3"),
         ("seed.deep=3", "seed = "),
-        ("seed", "'seed' is no override: wanted key=value"),
-        ("=1", "'=1' is no override"),
+        ("seed", "'seed' is not an override: wanted key=value"),
+        ("=1", "'=1' is not an override"),
     ],
 )
 def test_an_illegal_override_is_a_one_line_error(override: str, message: str) -> None:

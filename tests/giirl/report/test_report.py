@@ -163,7 +163,7 @@ def test_inspect_draws_a_page_under_the_requested_instruction(finished: Path, tm
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["report", "nowhere"], "nowhere is no run"),
+        (["report", "nowhere"], "nowhere is not a run"),
         (["report", "RUN", "--out", "missing/a.html"], "cannot write missing/a.html"),
         (["reward", "inspect", "RUN", "--task", "click-buton", "--seed", "1"], "no task 'click-buton'"),
         (["reward", "inspect", "RUN", "--task", "click-test", "--seed", f"{1 << 53}"], "is out of range"),
