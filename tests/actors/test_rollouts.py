@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from prometheus_client import generate_latest
 
 from actors.agents import Agent, Decision, ExpertAgent, PolicyAgent, RandomAgent
-from actors.rollouts import Schedule, play
+from actors.rollouts import Schedule, always_open, play
 from browser_farm.experts import expert
 from browser_farm.fake import TASKS, FakeFarm, check_task
 from giirl_core.metrics import Metrics
@@ -272,3 +272,49 @@ def test_the_same_task_and_seed_give_the_same_fake_page(task: str) -> None:
 def test_the_error_for_an_unknown_fake_task_names_the_known_ones() -> None:
     with pytest.raises(ValueError, match="no task 'click-buton': it has click-test"):
         check_task("click-buton")
+
+
+def test_episodes_start_only_as_the_gate_allows_and_are_the_same_ones() -> None:
+    started: list[int] = []
+
+    class Counting(FakeFarm):
+        """Remembers how many tabs are open in each step."""
+
+        def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]:
+            started.append(len(commands))
+            return super().step(commands)
+
+    def played(browser: FakeFarm, gate: Callable[[int], int]) -> list[Episode]:
+        schedule = Schedule(ALL, browser.tabs, purpose=Purpose.TRAIN, run_seed=3, quota=6)
+        rounds = play(browser, RandomAgent(), schedule, step_limit=5, metrics=Metrics(), gate=gate)
+        return sorted((e for some in rounds for e in some), key=lambda e: (e.trajectory.task, e.trajectory.seed))
+
+    gated = played(Counting(tabs=8), lambda playing: 3 - playing)
+    assert max(started) == 3
+    assert [content(e) for e in gated] == [content(e) for e in played(FakeFarm(tabs=8), always_open)]
+
+
+def test_a_closed_gate_yields_empty_rounds_until_it_opens() -> None:
+    schedule = Schedule(["click-test"], 2, purpose=Purpose.TRAIN, run_seed=3, quota=2)
+    opened = [False]
+    gate = lambda playing: 2 - playing if opened[0] else 0  # noqa: E731
+    rounds = play(FakeFarm(tabs=2), FirstLeafAgent(), schedule, step_limit=5, metrics=Metrics(), gate=gate)
+    assert [next(rounds) for _ in range(3)] == [[], [], []]
+    opened[0] = True
+    assert sum(len(some) for some in rounds) == 2
+
+
+def test_a_training_agent_samples_actions_for_every_step_and_a_greedy_one_none() -> None:
+    agent = PolicyAgent(policy(), vectors(), sampled_actions=6)
+    for finished in episodes(FakeFarm(tabs=4), agent, 3):
+        sampled = finished.trajectory.sampled
+        assert sampled is not None
+        assert sampled.choices.shape == (len(finished.trajectory), 6, 4)
+        assert not sampled.rewards.any()
+        rewards = np.arange(finished.trajectory.reward_count, dtype=np.float32)
+        scored = finished.trajectory.with_rewards(rewards, 3)
+        assert scored.sampled is not None
+        assert scored.rewards.tolist() == rewards[::7].tolist()
+        assert scored.sampled.rewards[0].tolist() == [1, 2, 3, 4, 5, 6]
+    greedy = episodes(FakeFarm(tabs=4), PolicyAgent(policy(), vectors(), greedy=True), 1)
+    assert all(finished.trajectory.sampled is None for finished in greedy)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from actors.agents import ExpertAgent
+from actors.agents import ExpertAgent, PolicyAgent
 from actors.rollouts import Schedule, play
 from browser_farm.experts import expert
 from browser_farm.fake import TASKS, FakeFarm
@@ -19,7 +21,8 @@ from giirl_core.nets.batch import Batch, collate
 from giirl_core.nets.features import MATCH_KINDS, Features, featurise
 from giirl_core.nets.language import Vectors, load_vectors
 from giirl_core.nets.models import PolicyNet, RewardNet
-from giirl_core.types import Action, Episode, Goal, Page, Purpose, Trajectory, Verb
+from giirl_core.sampled_actions import SampledActions
+from giirl_core.types import Action, Episode, EpisodeSpec, Goal, Observation, Page, Purpose, Trajectory, Verb
 
 WIDTH = 16
 
@@ -123,3 +126,17 @@ def expert_episodes(per_task: int, tasks: Sequence[str] = tuple(TASKS), tabs: in
     schedule = Schedule(tasks, tabs, purpose=Purpose.DEMONSTRATE, run_seed=0, quota=per_task)
     rounds = play(browser, ExpertAgent(expert), schedule, step_limit=10, metrics=Metrics())
     return [episode for ended in rounds for episode in ended]
+
+
+def with_sampled(shown: Trajectory, net: PolicyNet, count: int) -> Trajectory:
+    """The same with so many sampled actions a step, as an actor with this policy samples them."""
+    agent = PolicyAgent(deepcopy(net).cpu(), vectors(), sampled_actions=count)
+    seen = [
+        Observation(episode=EpisodeSpec(task=shown.task, seed=shown.seed), page=page, goal=shown.goal)
+        for page in shown.pages
+    ]
+    uniform = np.random.default_rng(0).random((len(seen), agent.draws, 3), dtype=np.float32)
+    decisions = agent.select_actions(seen, uniform)
+    logp = np.stack([decision.sampled_logp for decision in decisions if decision.sampled_logp is not None])
+    choices = np.stack([decision.sampled for decision in decisions if decision.sampled is not None])
+    return replace(shown, sampled=SampledActions(choices=choices, logp=logp, rewards=np.zeros_like(logp)))
