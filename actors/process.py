@@ -53,7 +53,7 @@ class ActorProcess(WorkerProcess):
         with ExitStack() as resources:
             counter = EpisodeCounter(self._counter_file, incarnation)
             resources.callback(counter.close)
-            browser = open_browser(config, metrics)
+            browser = open_browser(config, metrics, tabs=config.open_pages)
             resources.callback(browser.close)
             uplink = Uplink(
                 learner,
@@ -75,7 +75,10 @@ class ActorProcess(WorkerProcess):
                 )
                 resources.callback(client.close)
             limits = WorkerLimits(
-                step_limit=config.step_limit, lock_step=config.stream.policy_lag == 0, orphan_timeout_s=ORPHAN_TIMEOUT_S
+                step_limit=config.step_limit,
+                lock_step=config.stream.policy_lag == 0,
+                max_playing=config.actors.tabs,
+                orphan_timeout_s=ORPHAN_TIMEOUT_S,
             )
             schedule = self._lock_step(browser.tabs) if limits.lock_step else self._endless(browser.tabs, first)
             worker = Worker(browser, agent, schedule, client, uplink, limits=limits, metrics=metrics)

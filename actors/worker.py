@@ -38,6 +38,7 @@ class WorkerLimits:
 
     step_limit: int  # actions per episode
     lock_step: bool = False  # play one share of pages with each policy version, then wait for the next version
+    max_playing: int = 1 << 10  # episodes at the same time, in whichever tabs
     max_scoring: int = 64  # episodes waiting for rewards; above this no episode starts
     flush_timeout_s: float = 2.0  # after `stop`: to wait for rewards, and again to wait for acknowledgements
     orphan_timeout_s: float = float("inf")  # without a message from the learner, after which the actor gives up
@@ -68,7 +69,7 @@ class Worker:
         self._stop = threading.Event()
         self._commit_timeout_s = 0.0
         self._played_version = NO_VERSION  # in lock-step: the version whose share has been started
-        self._tabs = browser.tabs
+        self._places = min(browser.tabs, limits.max_playing)
         self._playing = 0  # episodes
         self._idle = _Average()
         self._outage_end_s, self._outage_s = 0.0, OUTAGE_S  # of the reward service
@@ -174,7 +175,9 @@ class Worker:
         """How many more episodes may start while so many are played, by the learner's credits."""
         self._playing = playing
         scoring = self._scorer.pending if self._scorer is not None else 0
-        return self._uplink.startable(playing + scoring) if scoring <= self._limits.max_scoring else 0
+        if scoring > self._limits.max_scoring:
+            return 0
+        return min(self._uplink.startable(playing + scoring), self._limits.max_playing - playing)
 
     def _finish(self, episode: Episode) -> None:
         """Request the rewards of an episode, or send it without any where they are not needed or not to be had."""
@@ -194,7 +197,7 @@ class Worker:
             self._outage_end_s, self._outage_s = 0.0, OUTAGE_S
             assert isinstance(episode, Episode)
             self._uplink.submit(replace(episode, trajectory=episode.trajectory.with_rewards(rewards, version)))
-        self._uplink.idle_share = self._idle.update(1 - self._playing / self._tabs)
+        self._uplink.idle_share = self._idle.update(1 - self._playing / self._places)
         self._uplink.poll()
         if self._uplink.silent_for_s > self._limits.orphan_timeout_s:
             raise Orphaned(f"no message from the learner for {self._limits.orphan_timeout_s:.0f} s")

@@ -47,6 +47,7 @@ __all__ = [
     "StreamConfig",
 ]
 
+MAX_OPEN_PAGES = 64  # unless the settings say more: a page takes about 18 MB
 DEFAULT_TASKS = ("click-test", "click-test-2", "click-button", "enter-text")
 
 
@@ -127,6 +128,11 @@ class Config:
     def sampled_actions(self) -> int:
         """Actions that an actor samples on each page for the reward to score; 0 where no learned reward is read."""
         return self.policy.sampled_actions if ALGORITHMS[self.algorithm].has_learned_reward else 0
+
+    @property
+    def open_pages(self) -> int:
+        """Tabs that an actor opens for training."""
+        return self.actors.open_pages or max(self.actors.tabs, min(len(self.tasks), MAX_OPEN_PAGES))
 
     @property
     def quota(self) -> int:

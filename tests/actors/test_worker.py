@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -156,5 +157,7 @@ def test_an_algorithm_without_a_learned_reward_requests_no_rewards() -> None:
 def test_no_episode_starts_beyond_the_credits_or_while_too_many_are_being_scored() -> None:
     worker = make_worker(SilentScorer(*[episode(1)] * 3), RecordingUplink(), None, Metrics())
     assert worker._startable(2) == 8 - 2 - 3
+    worker._limits = replace(worker._limits, max_playing=4)
+    assert worker._startable(2) == 2
     worker = make_worker(SilentScorer(*[episode(1)] * 65), RecordingUplink(), None, Metrics())
     assert worker._startable(0) == 0
