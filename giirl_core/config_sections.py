@@ -67,8 +67,8 @@ class ActorConfig:
     tabs: Positive = 8
     """Episodes that one actor plays at the same time, each in a tab of one Chrome. [tabs]"""
     open_pages: Annotated[int, Field(ge=0, le=256)] = 0
-    """Pages that one actor keeps open in training, each for tasks of its own, while `tabs` of them are played. 0: one for
-    each task, from `tabs` to 64. [tabs]"""
+    """Pages that one actor keeps open in training, while `tabs` of them are played. 0: one for each task, from `tabs`
+    to 64. [tabs]"""
     step_delay_s: Annotated[float, Field(ge=0, le=60)] = 0.0
     """Simulated time of every step, for experiments on pages that respond slowly. [s]"""
     call_timeout_s: Seconds = 10.0
