@@ -29,6 +29,7 @@ from giirl_core.nets.features import (
     Features,
 )
 
+MASKED_LOGIT = -1e9  # of what may not be chosen
 SPARE_ROWS = 32  # of padding that a block may hold beside a tenth of its rows: another block would cost more
 
 
@@ -38,18 +39,18 @@ class Block:
 
     pages: Tensor  # [b] int64 which pages of the batch
     size: int
-    mask: Tensor | None  # [b, size] bool, True for elements; None where no page is smaller
+    bias: Tensor | None  # [b, size] 0 for elements, MASKED_LOGIT for padding; None where no page is smaller
     token_row: Tensor  # [b, l] int64, as in the batch, to the longest goal of the block
-    token_mask: Tensor  # [b, l] bool
+    token_bias: Tensor  # [b, l] 0 for words, MASKED_LOGIT beyond them
 
     def to(self, device: torch.device) -> Block:
         """The same on another device."""
         return Block(
             pages=self.pages.to(device),
             size=self.size,
-            mask=None if self.mask is None else self.mask.to(device),
+            bias=None if self.bias is None else self.bias.to(device),
             token_row=self.token_row.to(device),
-            token_mask=self.token_mask.to(device),
+            token_bias=self.token_bias.to(device),
         )
 
 
@@ -163,14 +164,19 @@ def _blocks(
         block = Block(
             pages=torch.from_numpy(pages),
             size=size,
-            mask=None if mask.all() else torch.from_numpy(mask),
+            bias=None if mask.all() else _bias(mask),
             token_row=torch.from_numpy(token_row[pages, :longest]),
-            token_mask=torch.from_numpy(token_mask[pages, :longest]),
+            token_bias=_bias(token_mask[pages, :longest]),
         )
         blocks.append(block)
         row += len(pages) * size
         start = end
     return tuple(blocks), first_row, row
+
+
+def _bias(mask: NDArray[np.bool_]) -> Tensor:
+    """What to add to logits: 0 where `mask` is True, MASKED_LOGIT elsewhere. Equal logits where it is never True."""
+    return torch.from_numpy(np.where(mask, np.float32(0), np.float32(MASKED_LOGIT)))
 
 
 def _ranges(lengths: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from giirl_core.config import NetConfig
-from giirl_core.nets.batch import Batch, without_overlap
+from giirl_core.nets.batch import MASKED_LOGIT, Batch, without_overlap
 from giirl_core.nets.features import (
     CLASSES,
     ELEMENT_FLAGS,
@@ -22,7 +22,6 @@ from giirl_core.nets.features import (
 )
 from giirl_core.nets.language import PADDING, Vectors
 
-MASKED_LOGIT = -1e9  # of what may not be chosen
 ADJACENT_PX = 4.0  # at this distance an adjacent element counts 1 / e
 LINES_APART = 3.0  # a vertical pixel counts as so many horizontal ones
 
@@ -69,7 +68,7 @@ class Encoder(nn.Module):
         self.register_buffer("table", torch.from_numpy(vectors.table), persistent=False)
         words = self.table.shape[1]
         self.token_in = nn.Linear(words + TOKEN_FLAGS, width)
-        self.token_conv = nn.ModuleList(nn.Conv1d(width, width, 3, padding=1) for _ in range(2))
+        self.token_conv = nn.ModuleList(nn.Linear(3 * width, width) for _ in range(2))  # of a word and those beside it
         self.tag = nn.Embedding(TAGS, 16)
         self.classes = nn.Embedding(CLASSES, 8, padding_idx=0)
         self.element_in = nn.Linear(words + 16 + 8 + ELEMENT_FLAGS + MATCH_KINDS * width, width)
@@ -93,7 +92,8 @@ class Encoder(nn.Module):
         words = functional.embedding(batch.token_words, self.table)
         hidden = torch.relu(self.token_in(torch.cat([words, batch.token_flags], 1))) * real
         for conv in self.token_conv if self.config.word_order else ():
-            hidden = hidden + torch.relu(conv(hidden.T)).T * real
+            padded = functional.pad(hidden, (0, 0, 1, 1))
+            hidden = hidden + torch.relu(conv(torch.cat([padded[:-2], hidden, padded[2:]], 1))) * real
         return hidden
 
     def _read_page(self, batch: Batch, tokens: Tensor) -> Tensor:
@@ -127,8 +127,8 @@ class Encoder(nn.Module):
         aligned = []
         for block, query in zip(batch.blocks, batch.by_block(self.align(hidden)), strict=True):
             words = functional.embedding(block.token_row, tokens).unsqueeze(1)
-            mask = block.token_mask[:, None, None, :]
-            mixed = functional.scaled_dot_product_attention(query.unsqueeze(1), words, words, attn_mask=mask)
+            bias = block.token_bias[:, None, None, :]
+            mixed = functional.scaled_dot_product_attention(query.unsqueeze(1), words, words, attn_mask=bias)
             aligned.append(mixed.flatten(0, 2))
         return torch.cat(aligned)
 
@@ -137,15 +137,15 @@ class Encoder(nn.Module):
         weights = self.goal_pool(tokens).squeeze(1)
         pooled = []
         for block, some in zip(batch.blocks, batch.by_block(elements), strict=True):
-            share = weights[block.token_row].masked_fill(~block.token_mask, MASKED_LOGIT).softmax(1)
+            share = (weights[block.token_row] + block.token_bias).softmax(1)
             goal = torch.bmm(share.unsqueeze(1), functional.embedding(block.token_row, tokens)).squeeze(1)
-            if block.mask is None:
-                mean, peak = some.mean(1), some.amax(1)
+            if block.bias is None:
+                mean = some.mean(1)
             else:
-                real = block.mask.unsqueeze(2)
-                mean = (some * real).sum(1) / real.sum(1).clamp(min=1)
-                peak = some.masked_fill(~real, MASKED_LOGIT).amax(1)
-            pooled.append(torch.cat([goal, mean, peak], dim=1))
+                real = (block.bias == 0).unsqueeze(2)
+                some = some * real
+                mean = some.sum(1) / real.sum(1).clamp(min=1)
+            pooled.append(torch.cat([goal, mean, some.amax(1)], dim=1))  # elements are not negative
         back = torch.cat([block.pages for block in batch.blocks]).argsort()
         return torch.cat(pooled).index_select(0, back)
 
@@ -170,11 +170,6 @@ def nearness(batch: Batch) -> list[Tensor]:
     return shares
 
 
-def attended(mask: Tensor) -> Tensor:
-    """[b, E] what attention may look at: a page without elements looks at its padding, which nobody reads."""
-    return mask | ~mask.any(1, keepdim=True)
-
-
 class Attention(nn.Module):
     """Four heads from every element of a page to every other: what stands near what."""
 
@@ -189,7 +184,7 @@ class Attention(nn.Module):
         mixed = []
         for block, part in zip(batch.blocks, batch.by_block(self.project(x)), strict=True):
             q, k, v = part.unflatten(2, (3, self.heads, -1)).permute(2, 0, 3, 1, 4).unbind(0)
-            mask = None if block.mask is None else attended(block.mask)[:, None, None, :]
-            heads = functional.scaled_dot_product_attention(q, k, v, attn_mask=mask)
+            bias = None if block.bias is None else block.bias[:, None, None, :]
+            heads = functional.scaled_dot_product_attention(q, k, v, attn_mask=bias)
             mixed.append(heads.transpose(1, 2).flatten(2).flatten(0, 1))
         return torch.relu(self.out(torch.cat(mixed)))

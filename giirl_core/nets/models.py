@@ -8,8 +8,8 @@ from torch.nn import functional
 
 from giirl_core.config import NetConfig
 from giirl_core.nets.action_batch import ActionBatch
-from giirl_core.nets.batch import Batch
-from giirl_core.nets.encoder import MASKED_LOGIT, Encoder, Encoding
+from giirl_core.nets.batch import MASKED_LOGIT, Batch
+from giirl_core.nets.encoder import Encoder, Encoding
 from giirl_core.nets.language import Vectors
 from giirl_core.types import LEARNABLE_VERBS, NO_SPAN, Verb
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from giirl_core.config import NetConfig
 from giirl_core.nets.language import PADDING, Vectors
@@ -49,7 +50,7 @@ class Encoder(nn.Module):
         self.register_buffer("table", torch.from_numpy(vectors.table), persistent=False)
         words = self.table.shape[1]
         self.token_in = nn.Linear(words + TOKEN_FLAGS, width)
-        self.token_conv = nn.ModuleList(nn.Conv1d(width, width, 3, padding=1) for _ in range(2))
+        self.token_conv = nn.ModuleList(nn.Linear(3 * width, width) for _ in range(2))
         self.tag = nn.Embedding(TAGS, 16)
         self.classes = nn.Embedding(CLASSES, 8, padding_idx=0)
         self.element_in = nn.Linear(words + 16 + 8 + ELEMENT_FLAGS + 3 * width, width)
@@ -68,7 +69,7 @@ class Encoder(nn.Module):
         goal = torch.einsum("bl,bld->bd", weights, tokens)
         real = batch.element_mask.unsqueeze(2)
         mean = (elements * real).sum(1) / real.sum(1).clamp(min=1)
-        peak = elements.masked_fill(~real, MASKED_LOGIT).amax(1)
+        peak = (elements * real).amax(1)  # elements are not negative
         summary = torch.relu(self.summary(torch.cat([goal, mean, peak], dim=1)))
         return Encoding(tokens, elements, summary)
 
@@ -78,7 +79,8 @@ class Encoder(nn.Module):
         hidden = torch.relu(self.token_in(torch.cat([self.table[batch.token_words], batch.token_flags], 2)))
         for conv in self.token_conv if self.config.word_order else ():
             hidden = hidden * mask
-            hidden = hidden + torch.relu(conv(hidden.transpose(1, 2)).transpose(1, 2))
+            kernel = conv.weight.unflatten(1, (3, -1)).transpose(1, 2)
+            hidden = hidden + torch.relu(functional.conv1d(hidden.transpose(1, 2), kernel, conv.bias, padding=1).mT)
         return hidden * mask
 
     def _read_page(self, batch: Batch, tokens: Tensor) -> Tensor:
