@@ -83,7 +83,7 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
         if resume is not None:
             learner.load(resume)
         elif ALGORITHMS[config.algorithm].reward == "frozen":
-            learner.take_reward(reward_of_run(Path(config.reward_from)))
+            learner.load_reward(reward_of_run(Path(config.reward_from)))
         else:
             learner.bc_warmup()
         session = Session(config, folder, learner, metrics, stop, own, display)
