@@ -132,9 +132,9 @@ def _signature(trajectory: Trajectory, t: int) -> tuple[Verb, str, str]:
 
 
 class Replay:
-    """The replay buffer: a uniform sample of at most `size` of all trajectories added (reservoir sampling, Vitter 1985).
+    """The replay buffer: a uniform sample of `size` of all trajectories added (reservoir sampling, Vitter 1985).
 
-    `seen` counts all trajectories added.
+    `seen` is the number of trajectories added.
     """
 
     def __init__(self, size: int, rng: np.random.Generator) -> None:

@@ -135,9 +135,7 @@ class Discriminator:
         lengths = [len(example.features) for example in rollouts]
         return episode_rewards(logits, lengths, self.config.reward, self.config.clip)
 
-    def _sample_sources(
-        self, expert: Sequence[Example], rollouts: Sequence[Example], policy: PolicyNet
-    ) -> _Samples:
+    def _sample_sources(self, expert: Sequence[Example], rollouts: Sequence[Example], policy: PolicyNet) -> _Samples:
         """The samples of one iteration: the same pages for all updates, with new policy and random actions for each."""
         config, rng = self.config, self._rng
         pick = random_step if config.train_on == "all_steps" else last_step

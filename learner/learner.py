@@ -126,7 +126,7 @@ class Learner:
         try:
             self._load(folder)
         except (LookupError, TypeError, AttributeError, OverflowError, RuntimeError, SafetensorError) as error:
-            raise ValueError(f"{folder} is not a checkpoint of a learner with these settings: {error!r:.200}") from error
+            raise ValueError(f"{folder} is no checkpoint of a learner with these settings: {error!r:.200}") from error
 
     def _load(self, folder: Path) -> None:
         state: dict[str, Any] = json.loads((folder / "learner.json").read_text())
