@@ -108,7 +108,8 @@ class Worker:
     def run(self) -> None:
         """Play until `stop` is called, then deliver the finished episodes. Unfinished episodes are abandoned.
 
-        Raises Orphaned if the learner is silent for too long, and Refused if it rejects this actor.
+        Raises Orphaned if the learner is silent for too long, and Refused if it rejects this actor. In both cases
+        nothing is delivered.
         """
         try:
             self._play_until_stopped()

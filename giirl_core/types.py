@@ -257,7 +257,7 @@ class Trajectory:
         return self.rewards.size + (self.sampled.rewards.size if self.sampled is not None else 0)
 
     def with_rewards(self, rewards: NDArray[np.float32], version: int) -> Trajectory:
-        """The trajectory with `rewards` [T * (1 + M)] of one version: for each step, action taken, then sampled ones."""
+        """The trajectory with `rewards` [T * (1 + M)] of one version: per step, action taken, then sampled ones."""
         table = rewards.reshape(len(self), -1)
         sampled = self.sampled if self.sampled is None else replace(self.sampled, rewards=table[:, 1:])
         return replace(self, rewards=table[:, 0], sampled=sampled, reward_version=version)

@@ -242,7 +242,7 @@ def test_without_attention_an_element_is_encoded_independently_of_the_others() -
 
 @pytest.mark.parametrize("form", ["plain", "airl"])
 def test_the_optimal_airl_reward_is_log_pi_where_expert_and_policy_act_alike(form: Literal["plain", "airl"]) -> None:
-    """There D = 1/2, so the logit is 0. AIRL's logit is f - log pi, so f = log pi; the plain form has f = 0."""
+    """If both act alike, D = 1/2 and the logit is 0. AIRL's logit is f - log pi, so f = log pi. Plain, f = 0."""
     none = {"rollouts": 0.0, "replay": 0.0, "random_actions": 0.0, "wrong_goal": 0.0, "rename_prob": 0.0}
     config = DiscriminatorConfig(form=form, updates=1, batch=32, policy_on_expert_states=1.0, **none)  # type: ignore[arg-type]
     net = policy()
