@@ -1,4 +1,4 @@
-"""Plays episodes in all tabs of a browser at once, with one batch of actions and one browser call per round."""
+"""Plays episodes in all tabs of a browser in parallel. A round is one batch of actions and one browser call."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from giirl_core.types import (
 
 
 class Schedule:
-    """Decides which episode each tab plays next. Each tab has a fixed set of tasks; tasks share the tabs equally.
+    """Decides which episode each tab plays next. Each tab has a fixed set of tasks, and tasks share the tabs equally.
 
     Episode `i` of a task has seed `page_seed(purpose, run_seed, first + i * stride)`. With a `quota`, each task is
     played that many times; without one the schedule never ends.
     """
 
-    EPISODES_PER_TURN = 10  # that a tab plays of one task before it opens the next, when there are more tasks than tabs
-    MAX_LOSSES = 3  # of one episode, after which it is not played again
+    EPISODES_PER_TURN = 10  # of one task before a tab changes to its next one, if there are more tasks than tabs
+    MAX_LOSSES = 3  # an episode that was lost this often is not played again
 
     def __init__(
         self,
@@ -56,7 +56,7 @@ class Schedule:
         ]
         self._purpose, self._run_seed, self._first, self._stride = purpose, run_seed, first, stride
         self._quota = quota
-        self._started = dict.fromkeys(tasks, 0)  # episodes of each task
+        self._started = dict.fromkeys(tasks, 0)  # number of episodes of each task
         self._started_by_tab = [0] * tabs
         self._requeued: list[EpisodeSpec] = []
         self._losses: Counter[EpisodeSpec] = Counter()
@@ -78,7 +78,7 @@ class Schedule:
         return EpisodeSpec(task=task, seed=page_seed(self._purpose, self._run_seed, index))
 
     def requeue(self, spec: EpisodeSpec) -> None:
-        """Play a lost episode again, unless it was lost MAX_LOSSES times: some pages break every browser."""
+        """Play a lost episode again, unless it was lost MAX_LOSSES times, because some pages break every browser."""
         self._losses[spec] += 1
         if self._losses[spec] < self.MAX_LOSSES:
             self._requeued.append(spec)
@@ -99,11 +99,11 @@ class Slot:
     version: int | None = None  # of the policy at the first step
 
 
-Gate = Callable[[int], int]  # how many more episodes may start while so many are played
+Gate = Callable[[int], int]  # from the number of unfinished episodes to the number of episodes that may start
 
 
 def always_open(playing: int) -> int:
-    """Any number of episodes may start."""
+    """The gate without a limit."""
     return 1 << 30
 
 
@@ -116,10 +116,10 @@ def play(
     metrics: Metrics,
     gate: Gate = always_open,
 ) -> Iterator[list[Episode]]:
-    """Play until the schedule ends. After every round, yields the episodes that ended in it, often none.
+    """Play until the schedule ends. After each round, yields the episodes that ended in it, often none.
 
-    A tab whose next episode may not start yet stays idle. The random numbers of an episode depend only on its seed, not
-    on its tab, the other tabs or the actor.
+    A tab stays idle while `gate` does not let its next episode start. The random numbers of an episode depend only on
+    its seed, not on its tab, the other tabs or the actor.
     """
     slots: dict[int, Slot] = {}
     waiting_tabs = {tab: spec for tab in range(browser.tabs) if (spec := schedule.next(tab)) is not None}
@@ -150,7 +150,7 @@ def _play_round(
     gate: Gate,
 ) -> Iterator[list[Episode]]:
     """One step of every tab. Yields the episodes that ended, and moves tabs between `slots` and `waiting_tabs`."""
-    may_follow = gate(len(slots)) - len(waiting_tabs)  # tabs that wait are first
+    may_follow = gate(len(slots)) - len(waiting_tabs)  # idle tabs come first
     commands = _commands(slots, agent, step_limit, may_follow)
     with waiting(metrics, "browser"):
         results = browser.step(commands)
@@ -192,10 +192,9 @@ def play_pages(
     job: Job | None = None,
     note: str = "",
 ) -> list[Episode]:
-    """Play pages `first` to `first + pages - 1` of each task and return the episodes that ended.
+    """Play the pages `first` to `first + pages - 1` of each task, with the seeds of `purpose`; returns the episodes.
 
-    The seeds of the pages are those of `purpose`. Empty `tasks` means all tasks of the config. `job` counts the
-    episodes and shows `note` next to the count.
+    Empty `tasks` means all tasks of the config. `job` shows the number of episodes, with `note` next to it.
     """
     schedule = Schedule(
         tasks or config.tasks, browser.tabs, purpose=purpose, run_seed=config.seed, first=first, quota=pages
@@ -214,9 +213,9 @@ def _open(observation: Observation, schedule: Schedule, tab: int) -> Slot:
 
 
 def _commands(slots: Mapping[int, Slot], agent: Agent, step_limit: int, may_follow: int) -> dict[int, Command]:
-    """One command for each tab, chosen in one batch. An episode ends on a page without elements.
+    """One command for each tab, from one batch of decisions. On a page without elements the episode ends.
 
-    Only the first `may_follow` tabs open their next episode at once when this one ends.
+    If an episode ends, only the first `may_follow` tabs open their next one in the same call.
     """
     following = {tab: slot.following if n < may_follow else None for n, (tab, slot) in enumerate(slots.items())}
     commands = {tab: Command(verb=Verb.WAIT, last=True, following=following[tab]) for tab in slots}

@@ -1,4 +1,4 @@
-"""What the learner costs: CPU of each part of an iteration, and against an earlier commit in the same run."""
+"""CPU time of the learner: each part of an iteration, optionally compared with another commit."""
 
 from __future__ import annotations
 
@@ -16,15 +16,19 @@ from typing import Any
 from giirl_core.progress import Display
 
 ROOT = Path(__file__).resolve().parent.parent
-CASES = {"four": 10, "mix": 4}  # tasks of the thesis and all of the fixture: iterations in each turn
+CASES = {"four": 10, "mix": 4}  # the four tasks of the thesis, all tasks of the fixture: iterations per turn
 TIMEOUT_S = 600.0
 Parts = dict[str, Any]
 
 
 def measure(display: Display, *, before: str = "", turns: int = 3) -> dict[str, Any]:
-    """Everything, as the JSON says it. `before` names a commit to compare with; each takes its turn in every round."""
-    with _checkout(before) as earlier:
-        trees = {"now": ROOT, **({"before": earlier} if earlier is not None else {})}
+    """Measure all cases `turns` times; returns the JSON of `giirl bench learner`.
+
+    `before` is a commit to compare with. The two take turns, so that both see the same load of the machine. ValueError
+    if git does not know the commit.
+    """
+    with _checkout(before) as baseline:
+        trees = {"now": ROOT, **({"before": baseline} if baseline is not None else {})}
         found: dict[str, dict[str, list[Parts]]] = {case: {name: [] for name in trees} for case in CASES}
         with display.job("turns", turns * len(CASES) * len(trees)) as job:
             for _ in range(turns):
@@ -55,7 +59,7 @@ def _ratio(case: dict[str, Parts], name: str) -> float:
 
 
 def _summary(turns: list[Parts]) -> Parts:
-    """The median over the turns."""
+    """The medians over the turns."""
     ms = {name: statistics.median(turn["ms"][name] for turn in turns) for name in turns[0]["ms"]}
     total, first = sum(ms.values()), turns[0]
     return {
@@ -67,11 +71,11 @@ def _summary(turns: list[Parts]) -> Parts:
 
 
 def _run(case: str, tree: Path) -> Parts:
-    """One turn in a process of its own, with the code of `tree`."""
+    """One turn of a case in a separate process, with the code in `tree`. RuntimeError if the process fails."""
     program = Path(__file__).with_name("learner_parts.py")
-    words = [sys.executable, "-P", str(program), case, str(CASES[case]), str(program.parent)]
+    command = [sys.executable, "-P", str(program), case, str(CASES[case]), str(program.parent)]
     environment = {**os.environ, "PYTHONPATH": str(tree), "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(words, cwd=tree, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S)
+    done = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S)
     if done.returncode:
         raise RuntimeError(f"the benchmark failed in {tree}: {done.stderr.strip().splitlines()[-1:]}")
     parts: Parts = json.loads(done.stdout)
@@ -80,7 +84,7 @@ def _run(case: str, tree: Path) -> Parts:
 
 @contextmanager
 def _checkout(commit: str) -> Iterator[Path | None]:
-    """The files of a commit in a temporary folder; None without a commit. ValueError where git does not know it."""
+    """A temporary folder with the files of a commit; None if `commit` is empty. ValueError for an unknown commit."""
     if not commit:
         yield None
         return

@@ -1,10 +1,10 @@
-"""CPU time of each part of Algorithm 1's iteration on the fixture of pages; a program of its own, printing JSON.
+"""CPU time of each part of an iteration of Algorithm 1 on the page fixture. A stand-alone program that prints JSON.
 
     python benchmarks/learner_parts.py four|mix ROUNDS FOLDER
 
-FOLDER holds the fixture's module, so that the checkout on PYTHONPATH may be an earlier one: `benchmarks.learner` starts
-this program on two checkouts in turn and compares them. Where a checkout's policy update takes a reward function
-instead of sampled actions, it is given that.
+`benchmarks.learner` runs it on two checkouts, which it puts on PYTHONPATH. FOLDER holds `pages.py`, so that both use
+the same fixture. The policy update of older checkouts takes a reward function instead of sampled actions; both
+interfaces are supported.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from giirl_core.metrics import Metrics
 from learner.learner import Learner
 
 FOUR = ("click-test", "click-test-2", "click-button", "enter-text")
-EPISODES = 32  # in an iteration of the four tasks; of the mix one for each task
+EPISODES = 32  # per iteration on the four tasks; on the mix there is one per task
 
 
 def main(mix: bool, rounds: int, folder: Path) -> dict[str, Any]:
-    """Median CPU milliseconds of each part, and of a cloning update."""
+    """The median CPU time of each part of an iteration, and of a cloning update per step, in ms."""
     torch.set_num_threads(1)
     demonstrations, rollouts = _fixture(folder)
     if mix:
@@ -42,10 +42,10 @@ def main(mix: bool, rounds: int, folder: Path) -> dict[str, Any]:
     tasks = tuple(sorted({t.task for t in demonstrations}))
     config = Config(tasks=tasks, rollout_batch=len(rollouts), iterations=1000)
     learner = Learner(config, demonstrations, Metrics())
-    asks = "reward_fn" in inspect.signature(learner.policy.update).parameters
-    if not asks:
+    needs_reward_fn = "reward_fn" in inspect.signature(learner.policy.update).parameters
+    if not needs_reward_fn:
         rollouts = _with_sampled(rollouts, learner, config.policy.sampled_actions)
-    parts = [_iteration(learner, rollouts, config, asks) for _ in range(rounds + 1)][1:]
+    parts = [_iteration(learner, rollouts, config, needs_reward_fn) for _ in range(rounds + 1)][1:]
     cloning = [_cloning(learner, config) for _ in range(rounds + 1)][1:]
     ms = {name: 1e3 * statistics.median(part[name] for part in parts) for name in parts[0]}
     return {
@@ -57,17 +57,18 @@ def main(mix: bool, rounds: int, folder: Path) -> dict[str, Any]:
 
 
 def _fixture(folder: Path) -> tuple[list[Any], list[Any]]:
+    """Demonstrations and rollouts from `pages.py` in `folder`."""
     spec = importlib.util.spec_from_file_location("pages", folder / "pages.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    found: tuple[list[Any], list[Any]] = module.load()
+    found: tuple[list[Any], list[Any]] = module.load_fixture()
     return found
 
 
 def _with_sampled(rollouts: list[Any], learner: Any, count: int) -> list[Any]:
-    """The rollouts as actors and the reward service send them: with scored sampled actions."""
+    """The rollouts with `count` sampled actions per step, marked as scored by the reward service."""
     from actors.agents import PolicyAgent
     from giirl_core.sampled_actions import SampledActions
     from giirl_core.types import EpisodeSpec, Observation
@@ -75,8 +76,10 @@ def _with_sampled(rollouts: list[Any], learner: Any, count: int) -> list[Any]:
     agent, rng = PolicyAgent(learner.policy.net, learner.vectors, sampled_actions=count), np.random.default_rng(0)
     done = []
     for t in rollouts:
-        seen = [Observation(episode=EpisodeSpec(task=t.task, seed=t.seed), page=page, goal=t.goal) for page in t.pages]
-        decisions: list[Any] = agent.select_actions(seen, rng.random((len(seen), agent.draws, 3), dtype=np.float32))
+        spec = EpisodeSpec(task=t.task, seed=t.seed)
+        observations = [Observation(episode=spec, page=page, goal=t.goal) for page in t.pages]
+        uniform = rng.random((len(observations), agent.draws, 3), dtype=np.float32)
+        decisions: list[Any] = agent.select_actions(observations, uniform)
         logp = np.stack([decision.sampled_logp for decision in decisions])
         choices = np.stack([decision.sampled for decision in decisions])
         sampled = SampledActions(choices=choices, logp=logp, rewards=np.zeros_like(logp))
@@ -84,8 +87,8 @@ def _with_sampled(rollouts: list[Any], learner: Any, count: int) -> list[Any]:
     return done
 
 
-def _iteration(learner: Any, rollouts: list[Any], config: Config, asks: bool) -> dict[str, float]:
-    """CPU seconds of each part. Rewards are the service's where the checkout can train on those alone."""
+def _iteration(learner: Any, rollouts: list[Any], config: Config, needs_reward_fn: bool) -> dict[str, float]:
+    """The CPU time of each part of one iteration, in seconds."""
     marks = [time.process_time()]
     featurised = learner.featurise(rollouts)
     marks.append(time.process_time())
@@ -93,14 +96,14 @@ def _iteration(learner: Any, rollouts: list[Any], config: Config, asks: bool) ->
     marks.append(time.process_time())
     rewards = learner.discriminator.rewards(featurised, version=1)
     marks.append(time.process_time())
-    learner.policy.update(featurised, rewards, *([learner.discriminator.reward_fn] if asks else []))
+    learner.policy.update(featurised, rewards, *([learner.discriminator.reward_fn] if needs_reward_fn else []))
     marks.append(time.process_time())
     names = ("featurise", "discriminator", "rewards", "policy")
     return {name: after - before for name, before, after in zip(names, marks, marks[1:], strict=False)}
 
 
 def _cloning(learner: Any, config: Config) -> float:
-    """CPU seconds a step of one cloning update."""
+    """The CPU time of one cloning update per step, in seconds."""
     expert = learner.demos.sample(config.cloning.batch)
     since_s = time.process_time()
     learner.cloner.update(expert)

@@ -1,6 +1,8 @@
-"""A fixture of real pages for benchmarks without a browser: episodes of experts and random agents on fifty-two tasks.
+"""The page fixture for benchmarks without a browser: expert and random episodes on 52 MiniWoB tasks.
 
-python -m benchmarks.pages        plays the pages again in Chrome and writes the fixture anew
+    python -m benchmarks.pages
+
+plays the episodes in Chrome again and overwrites the fixture.
 """
 
 from __future__ import annotations
@@ -70,24 +72,24 @@ TASKS = (
     "use-autocomplete-nodelay",
     "use-spinner",
 )
-DEMONSTRATIONS, ROLLOUTS = 6, 2  # of each task
-SPARSE_TEXT, SPARSE_FLAGS = ("value", "classes", "colour", "shape"), ("focused", "tampered")
+DEMONSTRATIONS, ROLLOUTS = 6, 2  # episodes per task
+SPARSE_TEXT, SPARSE_FLAGS = ("value", "classes", "colour", "shape"), ("focused", "tampered")  # stored without defaults
 
 
-def load() -> tuple[list[Trajectory], list[Trajectory]]:
-    """Demonstrations and rollouts of the fixture."""
+def load_fixture() -> tuple[list[Trajectory], list[Trajectory]]:
+    """The demonstrations and the rollouts of the random policy."""
     content = json.loads(gzip.decompress(FIXTURE.read_bytes()))
-    demonstrations = [_trajectory(episode, DEMONSTRATION) for episode in content["demonstrations"]]
-    return demonstrations, [_trajectory(episode, 0) for episode in content["rollouts"]]
+    demonstrations = [_decode(episode, DEMONSTRATION) for episode in content["demonstrations"]]
+    return demonstrations, [_decode(episode, 0) for episode in content["rollouts"]]
 
 
-def _trajectory(episode: dict[str, Any], version: int) -> Trajectory:
+def _decode(episode: dict[str, Any], version: int) -> Trajectory:
     steps = episode["steps"]
     return Trajectory(
         task=episode["task"],
         goal=Goal(episode["goal"]),
         seed=episode["seed"],
-        pages=tuple(_page(step["page"]) for step in steps),
+        pages=tuple(_decode_page(step["page"]) for step in steps),
         actions=tuple(
             Action(verb=Verb(step["verb"]), element=step["element"], start=step["start"], end=step["end"])
             for step in steps
@@ -98,7 +100,7 @@ def _trajectory(episode: dict[str, Any], version: int) -> Trajectory:
     )
 
 
-def _page(stored: dict[str, Any]) -> Page:
+def _decode_page(stored: dict[str, Any]) -> Page:
     count = len(stored["tag"])
     flags: dict[str, Any] = {}
     for name in SPARSE_FLAGS:
@@ -118,17 +120,17 @@ def _page(stored: dict[str, Any]) -> Page:
     )
 
 
-def store(demonstrations: Sequence[Episode], rollouts: Sequence[Episode]) -> None:
-    """Write the fixture."""
+def save_fixture(demonstrations: Sequence[Episode], rollouts: Sequence[Episode]) -> None:
+    """Overwrite the fixture."""
     content = {
-        "demonstrations": [_stored(e.trajectory) for e in demonstrations],
-        "rollouts": [_stored(e.trajectory) for e in rollouts],
+        "demonstrations": [_encode(e.trajectory) for e in demonstrations],
+        "rollouts": [_encode(e.trajectory) for e in rollouts],
     }
     packed = json.dumps(content, separators=(",", ":")).encode()
     FIXTURE.write_bytes(gzip.compress(packed, 9, mtime=0))
 
 
-def _stored(trajectory: Trajectory) -> dict[str, Any]:
+def _encode(trajectory: Trajectory) -> dict[str, Any]:
     steps = zip(trajectory.pages, trajectory.actions, strict=True)
     return {
         "task": trajectory.task,
@@ -136,13 +138,13 @@ def _stored(trajectory: Trajectory) -> dict[str, Any]:
         "seed": trajectory.seed,
         "logp": [round(float(logp), 4) for logp in trajectory.behaviour_logp],
         "steps": [
-            {"page": _stored_page(p), "verb": int(a.verb), "element": a.element, "start": a.start, "end": a.end}
+            {"page": _encode_page(p), "verb": int(a.verb), "element": a.element, "start": a.start, "end": a.end}
             for p, a in steps
         ],
     }
 
 
-def _stored_page(page: Page) -> dict[str, Any]:
+def _encode_page(page: Page) -> dict[str, Any]:
     sparse: dict[str, Any] = {
         name: {row: text for row, text in enumerate(getattr(page, name)) if text} for name in SPARSE_TEXT
     }
@@ -152,8 +154,8 @@ def _stored_page(page: Page) -> dict[str, Any]:
     return {**whole, **{name: entries for name, entries in sparse.items() if entries}}
 
 
-def play() -> None:
-    """Play the pages in Chrome: what experts do with clicks and words of the goal, and what random agents do."""
+def record() -> None:
+    """Play the episodes in Chrome. Keeps expert episodes that succeed with actions that the nets can learn."""
     from actors.agents import ExpertAgent, RandomAgent
     from actors.browser import open_browser
     from actors.rollouts import play_pages
@@ -166,13 +168,13 @@ def play() -> None:
     try:
         known = [task for task in TASKS if task in EXPERTS]
         agent, purpose = ExpertAgent(expert), Purpose.DEMONSTRATE
-        shown = play_pages(config, browser, agent, purpose, DEMONSTRATIONS, metrics, tasks=known)
+        played = play_pages(config, browser, agent, purpose, DEMONSTRATIONS, metrics, tasks=known)
         rollouts = play_pages(config, browser, RandomAgent(), Purpose.TRAIN, ROLLOUTS, metrics)
     finally:
         browser.close()
-    learnable = [e for e in shown if e.outcome.success and all(a.learnable for a in e.trajectory.actions)]
-    store(learnable, rollouts)
+    learnable = [e for e in played if e.outcome.success and all(a.learnable for a in e.trajectory.actions)]
+    save_fixture(learnable, rollouts)
 
 
 if __name__ == "__main__":
-    play()
+    record()

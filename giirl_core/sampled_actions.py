@@ -1,4 +1,4 @@
-"""Actions that were drawn on the pages of a trajectory but not taken: a learned reward can score them all the same."""
+"""Actions that were sampled on the pages of a trajectory but not taken. A learned reward can score them as well."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from giirl_core.actions import NO_SPAN, Verb
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SampledActions:
-    """M further actions on each page of a trajectory: drawn but not taken, for the reward to score.
+    """M actions per step of a trajectory that were sampled but not taken, with their rewards.
 
-    Half of them are drawn from the policy, half uniformly from the legal actions.
+    Half of them are sampled from the policy, half uniformly from the legal actions. ValueError if the shapes differ.
     """
 
-    choices: NDArray[np.int16]  # [T, M, 4] verb, element, first and last word (-1 where nothing is typed)
-    logp: NDArray[np.float32]  # [T, M] nats, log mu(a | s_t, g) of the policy that drew, of the uniform half too
-    rewards: NDArray[np.float32]  # [T, M] r(s_t, a | g) of the trajectory's reward_version; zeros while unscored
+    choices: NDArray[np.int16]  # [T, M, 4] verb, element, first and last goal token to type (-1 for a click)
+    logp: NDArray[np.float32]  # [T, M] nats, log mu(a | s_t, g) under the acting policy, also of the uniform half
+    rewards: NDArray[np.float32]  # [T, M] r(s_t, a | g) of the trajectory's reward_version; 0 while unscored
 
     def __post_init__(self) -> None:
         steps = self.choices.shape[:2]
@@ -31,7 +31,10 @@ class SampledActions:
             )
 
     def check(self, elements: Sequence[int], words: int) -> None:
-        """ValueError unless every action is legal on pages with so many elements under a goal of so many words."""
+        """ValueError unless every action is legal.
+
+        `elements` [T] is the number of elements on each page, `words` the number of tokens of the goal.
+        """
         if len(self.choices) != len(elements):
             raise ValueError(f"Trajectory.sampled has {len(self.choices)} steps, .pages has {len(elements)}")
         verb, element, start, end = np.moveaxis(self.choices, 2, 0)
@@ -39,7 +42,7 @@ class SampledActions:
         clicks = (verb == Verb.CLICK) & (start == NO_SPAN) & (end == NO_SPAN)
         legal = (element >= 0) & (element < np.array(elements)[:, None]) & (types | clicks)
         if not legal.all():
-            t, m = (int(place) for place in np.argwhere(~legal)[0])
+            t, m = (int(index) for index in np.argwhere(~legal)[0])
             raise ValueError(
                 f"sampled action {m} of step {t} is {self.choices[t, m].tolist()}, wanted a click or words to type "
                 f"on a page with {elements[t]} elements under a goal with {words} words"

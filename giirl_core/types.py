@@ -231,7 +231,7 @@ class Trajectory:
     rewards: NDArray[np.float32]  # [T] r(s_t, a_t | g) of reward_version; zeros while unscored
     policy_version: int  # oldest learner step that produced mu; -1 marks a demonstration
     reward_version: int = UNSCORED  # learner step of the reward that scored it
-    sampled: SampledActions | None = None  # where nobody asked for any
+    sampled: SampledActions | None = None  # None without sampled actions
 
     def __post_init__(self) -> None:
         steps, tokens = len(self.pages), len(self.goal.tokens)
@@ -253,11 +253,11 @@ class Trajectory:
 
     @property
     def reward_count(self) -> int:
-        """How many rewards the reward service computes for it: of each action taken and each sampled one."""
+        """Number of rewards to compute: one for each action taken and each sampled action."""
         return self.rewards.size + (self.sampled.rewards.size if self.sampled is not None else 0)
 
     def with_rewards(self, rewards: NDArray[np.float32], version: int) -> Trajectory:
-        """The same with rewards [T * (1 + M)] of one version: for each step the action taken, then the sampled ones."""
+        """The trajectory with `rewards` [T * (1 + M)] of one version: per step, action taken, then sampled ones."""
         table = rewards.reshape(len(self), -1)
         sampled = self.sampled if self.sampled is None else replace(self.sampled, rewards=table[:, 1:])
         return replace(self, rewards=table[:, 0], sampled=sampled, reward_version=version)

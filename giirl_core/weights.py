@@ -1,4 +1,4 @@
-"""A net's parameters at one learner step, as bytes with a checksum."""
+"""The parameters of a net as versioned bytes with a checksum, for checkpoints and for messages."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Weights:
-    """The parameters of a net at one learner step, as safetensors bytes with a checksum."""
+    """The parameters of a net after one learner step, as safetensors bytes."""
 
-    version: int  # learner step
+    version: int  # learner step that produced them
     blob: bytes
     digest: str  # sha256 of blob, hex
 
     @classmethod
     def seal(cls, version: int, blob: bytes) -> Weights:
-        """Weights with the checksum of `blob`."""
+        """Weights with the checksum of `blob` computed."""
         return cls(version=version, blob=blob, digest=hashlib.sha256(blob).hexdigest())
 
     def check(self) -> None:
-        """Raise ValueError when the checksum does not match the blob."""
+        """Raise ValueError if the checksum does not match `blob`."""
         if (found := hashlib.sha256(self.blob).hexdigest()) != self.digest:
             raise ValueError(
                 f"weights version {self.version} are corrupt: sha256 {found[:12]}, wanted {self.digest[:12]}"

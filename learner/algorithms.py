@@ -1,6 +1,6 @@
 """The training loop of every algorithm: Algorithm 1 and its baselines, on the same nets and demonstrations.
 
-`giirl_core.algorithms` holds the facts about each, under the same names.
+`giirl_core.algorithms` describes each algorithm under the same name.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from learner.protocols import BaselineLearning, Learning, Observe, Source
 def behavioural_cloning(
     config: Config, learner: Learning, source: Source, steps: Iterable[int], observe: Observe
 ) -> None:
-    """Behavioural cloning. Rollouts are played only to report the success of the policy."""
+    """Behavioural cloning (figure 4.8 of Luo 2019). Rollouts are played only to report the policy's success."""
     for step in steps:
         source.take(config.rollout_batch)
         observe(step, learner.cloner.update(learner.demos.sample(config.cloning.batch)))
@@ -25,7 +25,7 @@ def behavioural_cloning(
 def train_on_frozen_reward(
     config: Config, learner: Learning, source: Source, steps: Iterable[int], observe: Observe
 ) -> None:
-    """A fresh policy on a reward that was learned before and does not change."""
+    """Train a new policy on the learned reward of another run, which stays fixed."""
     for step in steps:
         rollouts = learner.featurise(source.take(config.rollout_batch))
         rewards = learner.discriminator.rewards(rollouts, version=step + 1)
@@ -35,7 +35,7 @@ def train_on_frozen_reward(
 def train_on_env_reward(
     config: Config, learner: BaselineLearning, source: Source, steps: Iterable[int], observe: Observe
 ) -> None:
-    """The same policy optimisation on the sparse reward of the page, which `source` puts into the rollouts."""
+    """Train a policy on the page's own sparse reward, which `source` stores in the rollouts."""
     for step in steps:
         rollouts = learner.featurise(source.take(config.rollout_batch))
         observe(step, learner.policy.update(rollouts, learner.carried_rewards(rollouts)))
@@ -44,13 +44,16 @@ def train_on_env_reward(
 def soft_q_imitation(
     config: Config, learner: BaselineLearning, source: Source, steps: Iterable[int], observe: Observe
 ) -> None:
-    """SQIL or IQ-Learn: soft Q-learning from demonstrations and rollouts, without a reward."""
+    """SQIL (Reddy et al. 2020) or IQ-Learn (Garg et al. 2021): soft Q-learning from demonstrations and rollouts.
+
+    They learn no reward.
+    """
     for step in steps:
         rollouts = learner.featurise(source.take(config.rollout_batch))
         observe(step, learner.soft_q.update(learner.demos.sample(config.soft_q.batch), rollouts))
 
 
-# The learner is Any: that of the web or that of the grid, whichever world the algorithm plays.
+# The learner is Any, because it is the web learner or the grid learner, depending on the world.
 Loop: TypeAlias = Callable[[Config, Any, Source, Iterable[int], Observe], None]
 
 LOOPS: dict[str, Loop] = {

@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeAlias
 
 Episodes: TypeAlias = Any  # played episodes
 Batch: TypeAlias = Any  # the same as the nets read them
-Rewards: TypeAlias = Any  # r(s_t, a_t | g) of every step of a batch, and of M sampled actions on its page
+Rewards: TypeAlias = Any  # r(s_t, a_t | g) of every step of a batch; on web pages also of M sampled actions
 Net: TypeAlias = Any  # pi_theta
 
 EXPERT = "expert"  # the discriminator's positive source; its negative sources have the names of their settings
@@ -39,7 +39,7 @@ class Demos(Protocol):
 
 
 class RewardLearner(Protocol):
-    """D_phi and its optimiser; the reward is read from it."""
+    """D_phi and its optimiser. The reward is computed from D_phi."""
 
     def update(self, expert: Batch, rollouts: Batch, policy: Net, /) -> Stats: ...
 
@@ -68,7 +68,7 @@ class QLearner(Protocol):
 
 
 class Learning(Protocol):
-    """What Algorithm 1 needs. The cloner is for the baseline of figure 4.8."""
+    """The learner of Algorithm 1. The cloner is for the baseline of figure 4.8."""
 
     @property
     def demos(self) -> Demos: ...
@@ -86,7 +86,7 @@ class Learning(Protocol):
 
 
 class BaselineLearning(Learning, Protocol):
-    """What the other baselines need in addition."""
+    """The learner of the other baselines, which need two more parts."""
 
     @property
     def soft_q(self) -> QLearner: ...

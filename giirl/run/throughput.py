@@ -1,4 +1,4 @@
-"""How fast a training loop goes, and what it waits for."""
+"""The throughput of a training loop: rates of episodes and steps, waiting times, policy lag and stale episodes."""
 
 from __future__ import annotations
 
@@ -8,29 +8,31 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-WINDOW_S = 20.0  # rates are over so long
+WINDOW_S = 20.0  # of the recent rates
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamState:
-    """What a runtime knows of its stream of episodes."""
+    """The state of the stream of episodes, as a runtime reports it."""
 
-    stale: int = 0  # episodes dropped as stale since the run began
-    actors_idle: float = 0.0  # share of the actors' tabs that wait for the learner
+    stale: int = 0  # episodes dropped as stale since the start of the run
+    actors_idle: float = 0.0  # fraction of the actors' tabs that wait for the learner
 
 
 @dataclass(slots=True)
 class _Step:
+    """One step of the learner."""
+
     end_s: float
     episodes: int
     env_steps: int
     waited_s: float
-    lag: float
-    stale: int
+    lag: float  # sum over the episodes
+    stale: int  # since the start of the run
 
 
 class Throughput:
-    """Rates over the last steps, and over all of them."""
+    """Measures rates over the last WINDOW_S and over the whole session."""
 
     def __init__(self) -> None:
         self._since_s = time.monotonic()
@@ -41,7 +43,7 @@ class Throughput:
 
     @contextmanager
     def waiting(self) -> Iterator[None]:
-        """Count the time of the block as waiting for rollouts."""
+        """Count the time in the `with` block as waiting for rollouts."""
         since_s = time.monotonic()
         try:
             yield
@@ -49,7 +51,7 @@ class Throughput:
             self._waited_s += time.monotonic() - since_s
 
     def add(self, lags: Sequence[int], env_steps: int, state: StreamState) -> None:
-        """Count one step of the loop: the lag of each of its episodes, versions, and the state of the stream."""
+        """Add one step of the learner. `lags` are those of its episodes, in policy versions."""
         now_s = time.monotonic()
         self._steps.append(_Step(now_s, len(lags), env_steps, self._waited_s, sum(lags), state.stale))
         self._episodes, self._lag = self._episodes + len(lags), self._lag + sum(lags)
@@ -59,7 +61,7 @@ class Throughput:
             self._steps.popleft()
 
     def recent(self) -> dict[str, float]:
-        """Episodes and environment steps a second, shares of waiting, mean lag and share of stale ones, of late."""
+        """Rates per second, fractions of waiting, mean lag and fraction of stale episodes, over the last WINDOW_S."""
         first, steps = self._steps[0], list(self._steps)[1:]
         begin_s = first.end_s if steps else self._since_s
         steps = steps or [first]
@@ -76,7 +78,7 @@ class Throughput:
         }
 
     def total(self) -> dict[str, float]:
-        """The same of the whole session, for its result."""
+        """The same over the whole session, for result.json."""
         seconds = max(time.monotonic() - self._since_s, 1e-6)
         return {
             "episodes_per_s": round(self._episodes / seconds, 1),
@@ -86,8 +88,8 @@ class Throughput:
         }
 
 
-def in_words(rates: dict[str, float]) -> str:
-    """The rates as one line of progress."""
+def format_rates(rates: dict[str, float]) -> str:
+    """The recent rates as one line for the progress display."""
     return (
         f"{rates['episodes_per_s']:.0f} episodes/s, learner waits {100 * rates['learner_waits']:.0f} %, actors idle "
         f"{100 * rates['actors_idle']:.0f} %, lag {rates['lag']:.1f}, stale {100 * rates['stale']:.1f} %"

@@ -18,7 +18,7 @@ from giirl.run.demonstrations import collect_demonstrations
 from giirl.run.evaluate import evaluate
 from giirl.run.folder import RunFolder
 from giirl.run.serial import SerialRuntime
-from giirl.run.throughput import StreamState, Throughput, in_words
+from giirl.run.throughput import StreamState, Throughput, format_rates
 from giirl.run.workers import WorkersRuntime
 from giirl.signals import Stopped, raise_if, stopping
 from giirl.statistics import WINDOW, lowest_window
@@ -83,7 +83,7 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
         if resume is not None:
             learner.load(resume)
         elif ALGORITHMS[config.algorithm].reward == "frozen":
-            learner.take_reward(reward_of_run(Path(config.reward_from)))
+            learner.load_reward(reward_of_run(Path(config.reward_from)))
         else:
             learner.bc_warmup()
         session = Session(config, folder, learner, metrics, stop, own, display)
@@ -216,7 +216,7 @@ class Session:
         numbers = {k: round(v, 4) for k, v in stats.items()}
         self._folder.append_curve({**self._counts(), "outcomes": outcomes, **numbers, "flow": rates})
         self._runtime.publish(*self._learner.weights())
-        self._job.advance(1, f"{self._recent_success(outcomes)}; {in_words(rates)}")
+        self._job.advance(1, f"{self._recent_success(outcomes)}; {format_rates(rates)}")
         self._update_targets()
         if (step + 1) % self._config.checkpoint_every == 0 or step + 1 == self._config.iterations:
             self._save()

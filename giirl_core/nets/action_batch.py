@@ -1,4 +1,4 @@
-"""Actions on many pages as tensors, and uniformly random ones."""
+"""Actions on many pages as tensors, and the uniformly random policy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from giirl_core.types import NO_SPAN, Action, Trajectory, Verb
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ActionBatch:
-    """M actions on each of B pages: verb, element and the span of the goal that is copied (-1 where none)."""
+    """M actions on each of B pages. `start` and `end` are the first and last goal token to type, -1 for none."""
 
     verb: Tensor  # [B, M] int64
     element: Tensor  # [B, M] int64
@@ -23,20 +23,20 @@ class ActionBatch:
     end: Tensor  # [B, M] int64
 
     def columns(self, first: int, last: int) -> ActionBatch:
-        """[B, last - first] some of the M actions on each page."""
+        """[B, last - first] the actions `first` to `last - 1` on each page."""
         return ActionBatch(**{f.name: getattr(self, f.name)[:, first:last] for f in fields(self)})
 
-    def replace_first(self, first: ActionBatch) -> ActionBatch:
-        """The same with the actions `first` [b, M] on the first b pages."""
-        columns = {f.name: (getattr(first, f.name), getattr(self, f.name)) for f in fields(self)}
+    def replace_first(self, actions: ActionBatch) -> ActionBatch:
+        """[B, M] with the `actions` [b, M] on the first b pages, and the own ones on the others."""
+        columns = {f.name: (getattr(actions, f.name), getattr(self, f.name)) for f in fields(self)}
         return ActionBatch(**{name: torch.cat([new, old[len(new) :]]) for name, (new, old) in columns.items()})
 
     def table(self) -> Tensor:
-        """[B, M, 4] verb, element, start and end."""
+        """[B, M, 4] int64: verb, element, start, end."""
         return torch.stack([self.verb, self.element, self.start, self.end], dim=2)
 
     def first(self) -> list[Action]:
-        """The first action of each page."""
+        """[B] the first action on each page."""
         columns = (part[:, 0].tolist() for part in (self.verb, self.element, self.start, self.end))
         return [
             Action(verb=Verb(verb), element=element, start=start, end=end)
@@ -44,33 +44,33 @@ class ActionBatch:
         ]
 
     def to(self, device: torch.device) -> ActionBatch:
-        """The same on another device."""
+        """The actions on another device."""
         return ActionBatch(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
 
 
 def join(*parts: ActionBatch) -> ActionBatch:
-    """[B, sum of M]: the actions of each part in turn."""
+    """[B, sum of M] the actions of all parts, concatenated on each page."""
     return ActionBatch(
         **{f.name: torch.cat([getattr(part, f.name) for part in parts], dim=1) for f in fields(ActionBatch)}
     )
 
 
 def collate_actions(actions: Sequence[Action]) -> ActionBatch:
-    """One action for each of B pages."""
+    """[B, 1] one action on each of B pages."""
     verb, element, start, end = _table(actions).unsqueeze(2)
     return ActionBatch(verb=verb, element=element, start=start, end=end)
 
 
-def collate_choices(actions: Sequence[Action]) -> ActionBatch:
-    """M actions on one page."""
+def collate_candidates(actions: Sequence[Action]) -> ActionBatch:
+    """[1, M] M candidate actions on one page."""
     verb, element, start, end = _table(actions).unsqueeze(1)
     return ActionBatch(verb=verb, element=element, start=start, end=end)
 
 
 def collate_sampled(trajectories: Sequence[Trajectory]) -> tuple[ActionBatch, Tensor]:
-    """The sampled actions [sum T, M] on every page of every trajectory, and their log-probabilities then, nats.
+    """The sampled actions [sum T, M] of all trajectories, and their log-probabilities when they were sampled, nats.
 
-    M is 0 where no trajectory has any; ValueError where their M differ.
+    M is 0 if no trajectory has sampled actions. ValueError if the trajectories have different M.
     """
     sampled = [trajectory.sampled for trajectory in trajectories]
     counts = {part.logp.shape[1] if part is not None else 0 for part in sampled}
@@ -91,10 +91,13 @@ def _table(actions: Sequence[Action]) -> Tensor:
 
 
 def random_actions(batch: Batch, uniform: Tensor) -> ActionBatch:
-    """M actions for each page, uniform over what is legal, driven by `uniform` [B, M, 3] in [0, 1)."""
+    """[B, M] actions of the random policy, computed from the random numbers `uniform` [B, M, 3] in [0, 1).
+
+    It is uniform over the legal (element, verb) pairs, then over the first word to type, then over the last one.
+    """
     legal = torch.stack([batch.clickable, batch.typable], dim=2).flatten(1)  # [B, E * verbs], verbs CLICK and TYPE
-    share = legal.sum(1, keepdim=True)
-    nth = (uniform[:, :, 0] * share).long().clamp(max=share - 1).contiguous()
+    count = legal.sum(1, keepdim=True)
+    nth = (uniform[:, :, 0] * count).long().clamp(max=count - 1).contiguous()
     pair = torch.searchsorted(legal.long().cumsum(1), nth, right=True)
     words = batch.token_mask.sum(1, keepdim=True)
     start = (uniform[:, :, 1] * words).long().clamp(max=words - 1)
@@ -110,8 +113,8 @@ def random_actions(batch: Batch, uniform: Tensor) -> ActionBatch:
 
 
 def random_logp(batch: Batch, actions: ActionBatch) -> Tensor:
-    """[B, M] log-probability of actions under `random_actions`, nats."""
+    """[B, M] log-probabilities of legal actions under `random_actions`, nats."""
     pairs = (batch.clickable.sum(1) + batch.typable.sum(1)).unsqueeze(1).float()
     words = batch.token_mask.sum(1, keepdim=True).float()
-    copied = words.log() + (words - actions.start.clamp(min=0)).log()
-    return -pairs.log() - torch.where(actions.verb == Verb.TYPE, copied, 0.0)
+    spans = words.log() + (words - actions.start.clamp(min=0)).log()
+    return -pairs.log() - torch.where(actions.verb == Verb.TYPE, spans, 0.0)

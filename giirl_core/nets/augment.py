@@ -1,4 +1,4 @@
-"""Augmentation: the same pages and goals in other words."""
+"""Data augmentation: replaces words of a page and its goal consistently, and shifts the page."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from giirl_core.nets.batch import Batch
 from giirl_core.nets.language import FIRST_WORD, UNKNOWN
 from giirl_core.types import NO_SPAN
 
-COMMON_WORDS = 4000  # renamed words come from this many of the commonest, whatever the table
+COMMON_WORDS = 4000  # replacements are among this many most frequent words of the table
 
 
 def rename(batch: Batch, actions: ActionBatch, prob: float, jitter: float, generator: torch.Generator) -> Batch:
-    """The same pages in other words: open words become random ones, alike in goal and page.
+    """Replace the open words of some pages by random ones, the same in the goal and on the page.
 
-    A page is renamed with probability `prob`. Open are the words that the page gives their meaning and those that its
-    first action types. Overlap features stay as they are, since renaming is consistent. The boxes of such a page
-    shift together by up to `jitter` of the page. A net that sees this must read which words agree, and cannot
-    remember which pages were demonstrated. `generator` is of the CPU.
+    Each page is renamed with probability `prob`. All words of its elements are replaced. In its goal only the open
+    words are: those that are quoted or on the page, and those that its first action types. Overlap features do not
+    change, because the replacement is consistent. The boxes of a renamed page are shifted together by up to `jitter`,
+    as a fraction of the page. A net trained on such pages must read which words agree, because it cannot remember
+    which pages were demonstrated. `generator` must be on the CPU.
     """
     size, device, token_page = len(batch), batch.token_words.device, batch.token_page
     chosen = (torch.rand(size, generator=generator) < prob).to(device)
@@ -30,23 +31,23 @@ def rename(batch: Batch, actions: ActionBatch, prob: float, jitter: float, gener
     position = torch.arange(len(token_page), device=device) - batch.token_row[token_page, 0]
     start, end = actions.start[token_page, 0], actions.end[token_page, 0]
     typed = (position >= start) & (position <= end) & (start != NO_SPAN)
-    opened = (batch.token_open | typed) & (batch.token_words >= FIRST_WORD) & chosen[token_page]
+    renamed = (batch.token_open | typed) & (batch.token_words >= FIRST_WORD) & chosen[token_page]
     page = batch.element_page
     flags = batch.element_flags.clone()
     flags[:, :2] += shift[page]
     return replace(
         batch,
-        token_words=torch.where(opened, _other(batch.token_words, salt[token_page]), batch.token_words),
-        element_words=torch.where(
-            (batch.element_words >= FIRST_WORD) & chosen[page, None],
-            _other(batch.element_words, salt[page, None]),
-            batch.element_words,
+        token_words=torch.where(renamed, _replacement(batch.token_words, salt[token_page]), batch.token_words),
+        text_words=torch.where(
+            (batch.text_words >= FIRST_WORD) & chosen[batch.text_page],
+            _replacement(batch.text_words, salt[batch.text_page]),
+            batch.text_words,
         ),
         element_flags=flags,
     )
 
 
-def _other(words: Tensor, salt: Tensor) -> Tensor:
-    """A word that depends on the old word and the salt alone; one in eight is a word the table lacks."""
+def _replacement(words: Tensor, salt: Tensor) -> Tensor:
+    """A word that depends only on the old word and the salt; one in eight is an unknown word."""
     mixed = ((words * 2654435761 + salt * 40503) ^ (salt >> 3)) & 0x7FFFFFFF
     return torch.where(mixed % 8 == 0, UNKNOWN, FIRST_WORD + (mixed >> 3) % COMMON_WORDS)

@@ -1,4 +1,8 @@
-"""Many pages as tensors, without work on padding: words and elements lie end to end, like sizes share a block."""
+"""A batch of pages as flat tensors, almost without padding.
+
+The words of all goals are rows of one table, the elements of all pages rows of another. For attention, pages of similar
+size are grouped into blocks, and only the pages of a block are padded to the same size.
+"""
 
 from __future__ import annotations
 
@@ -28,23 +32,24 @@ from giirl_core.nets.features import (
     WORD,
     Features,
 )
+from giirl_core.nets.language import PADDING
 
-MASKED_LOGIT = -1e9  # of what may not be chosen
-SPARE_ROWS = 32  # of padding that a block may hold beside a tenth of its rows: another block would cost more
+MASKED_LOGIT = -1e9  # of illegal or padded choices
+PADDING_ROWS = 32  # of padding that a block may have in addition to a tenth of its rows; more blocks would be slower
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Pages of at most `size` elements, whose rows follow each other in the flat table, page by page."""
+    """b pages, each padded to `size` elements. Their rows are consecutive in the flat table, page by page."""
 
-    pages: Tensor  # [b] int64 which pages of the batch
+    pages: Tensor  # [b] int64, indices of the pages in the batch
     size: int
-    bias: Tensor | None  # [b, size] 0 for elements, MASKED_LOGIT for padding; None where no page is smaller
-    token_row: Tensor  # [b, l] int64, as in the batch, to the longest goal of the block
-    token_bias: Tensor  # [b, l] 0 for words, MASKED_LOGIT beyond them
+    bias: Tensor | None  # [b, size] for logits: 0 for elements, MASKED_LOGIT for padding; None without padding
+    token_row: Tensor  # [b, l] int64, as Batch.token_row, up to the longest goal of the block
+    token_bias: Tensor  # [b, l] for logits: 0 for words, MASKED_LOGIT for padding
 
     def to(self, device: torch.device) -> Block:
-        """The same on another device."""
+        """The block on another device."""
         return Block(
             pages=self.pages.to(device),
             size=self.size,
@@ -56,42 +61,45 @@ class Block:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Batch:
-    """B pages under their goals: flat words (T rows) and elements (N rows); at most L words and E elements a page.
+    """B pages under their goals, with at most L words per goal and E elements per page.
 
-    Behind the words of each goal lies one row of zeros, which parts them from the next goal's.
+    The flat tables have T rows of words and N rows of elements. A row of zeros after the words of each goal separates
+    it from the next goal, so that convolutions do not mix the two.
     """
 
-    token_words: Tensor  # [T] int64
+    token_words: Tensor  # [T] int64, row of the word vectors
     token_flags: Tensor  # [T, TOKEN_FLAGS]
-    token_open: Tensor  # [T] bool
+    token_open: Tensor  # [T] bool, True for words that are quoted or on the page
     token_real: Tensor  # [T] bool, False for the rows between goals
-    token_page: Tensor  # [T] int64, the page that a row belongs to
-    token_row: Tensor  # [B, L] int64, the flat row of each word, beyond the last that of zeros
+    token_page: Tensor  # [T] int64, page of each row
+    token_row: Tensor  # [B, L] int64, flat row of each word; after the last word, the row of zeros
     token_mask: Tensor  # [B, L] bool, True for words
-    element_words: Tensor  # [N, WORDS] int64
-    element_tag: Tensor  # [N] int64
-    element_classes: Tensor  # [N, CLASS_SLOTS] int64
+    text_words: Tensor  # [W] int64, rows of the word vectors: the words of each element, one element after the other
+    text_page: Tensor  # [W] int64, page of each
+    text_first: Tensor  # [N] int64, index of the first word of each element
+    element_tag: Tensor  # [N] int64, hash bucket
+    element_classes: Tensor  # [N, CLASS_SLOTS] int64, hash buckets, 0 for none
     element_flags: Tensor  # [N, ELEMENT_FLAGS]
-    element_page: Tensor  # [N] int64, the page that a row belongs to
-    matched: Tensor  # [R] int64, the flat rows of elements that match some word
-    match_row: Tensor  # [K] int64, MATCH_KINDS * place among the matched + kind
-    match_token: Tensor  # [K] int64, a flat row
-    match_weight: Tensor  # [K]
-    row: Tensor  # [B, E] int64, the flat row of each element
-    clickable: Tensor  # [B, E] bool
-    typable: Tensor  # [B, E] bool
+    element_page: Tensor  # [N] int64, page of each row
+    matched: Tensor  # [R] int64, flat rows of the elements that have a word in common with the goal
+    match_row: Tensor  # [K] int64, MATCH_KINDS * index in `matched` + kind of the match
+    match_token: Tensor  # [K] int64, flat row of the matching word
+    match_weight: Tensor  # [K] the weights of one element and kind sum to 1
+    row: Tensor  # [B, E] int64, flat row of each element; arbitrary after the last element
+    clickable: Tensor  # [B, E] bool, False after the last element
+    typable: Tensor  # [B, E] bool, False after the last element
     blocks: tuple[Block, ...]
 
     def __len__(self) -> int:
         return int(self.token_row.shape[0])
 
     def by_block(self, flat: Tensor) -> list[Tensor]:
-        """[b, size, ...] of each block from a flat [N, ...]."""
+        """[b, size, ...] for each block, from a flat tensor [N, ...]."""
         parts = flat.split([len(block.pages) * block.size for block in self.blocks])
         return [part.unflatten(0, (-1, block.size)) for part, block in zip(parts, self.blocks, strict=True)]
 
     def to(self, device: torch.device) -> Batch:
-        """The same on another device."""
+        """The batch on another device."""
         if self.token_words.device == device:
             return self
         tensors = {f.name: getattr(self, f.name).to(device) for f in fields(self) if f.name != "blocks"}
@@ -99,43 +107,48 @@ class Batch:
 
 
 def collate(rows: Sequence[Features]) -> Batch:
-    """Stack pages into one batch; an empty sequence is an error of ours."""
+    """Collate the features of B pages, B >= 1, into one batch."""
     assert rows, "collate needs at least one page"
     sizes = np.array([len(row.element_ids) for row in rows])
     lengths = np.array([len(row.token_ids) for row in rows])
     first_token = np.cumsum(lengths + 1) - lengths - 1
-    words = np.repeat(first_token, lengths) + _ranges(lengths)
-    total = int(lengths.sum()) + len(rows)
-    token_ids = _scatter([row.token_ids for row in rows], words, total, TOKEN_IDS)
+    word_rows = np.repeat(first_token, lengths) + _ranges(lengths)
+    token_count = int(lengths.sum()) + len(rows)
+    token_ids = _scatter([row.token_ids for row in rows], word_rows, token_count, TOKEN_IDS)
     column = np.arange(int(lengths.max()))
     token_row = first_token[:, None] + np.minimum(column, lengths[:, None])
     token_mask = column < lengths[:, None]
     blocks, first_row, count = _blocks(sizes, lengths, token_row, token_mask)
-    at = np.repeat(first_row, sizes) + _ranges(sizes)
-    ids = _scatter([row.element_ids for row in rows], at, count, ELEMENT_IDS)
+    element_rows = np.repeat(first_row, sizes) + _ranges(sizes)
+    ids = _scatter([row.element_ids for row in rows], element_rows, count, ELEMENT_IDS)
     page = np.zeros(count, dtype=np.int64)
-    page[at] = np.repeat(np.arange(len(rows)), sizes)
-    found = np.array([len(row.match_ids) for row in rows])
+    page[element_rows] = np.repeat(np.arange(len(rows)), sizes)
+    match_counts = np.array([len(row.match_ids) for row in rows])
+    texts = ids[:, ELEMENT_WORDS]
+    read = texts != PADDING
+    word_counts = read.sum(1)
     element, kind, token = np.concatenate([row.match_ids for row in rows]).astype(np.int64).T
-    matched, place = np.unique(np.repeat(first_row, found) + element, return_inverse=True)
+    matched, index = np.unique(np.repeat(first_row, match_counts) + element, return_inverse=True)
     row = np.minimum(first_row[:, None] + np.arange(max(1, int(sizes.max()))), count - 1)
     real = np.arange(row.shape[1]) < sizes[:, None]
     arrays: dict[str, NDArray[Any]] = {
         "token_words": token_ids[:, WORD].astype(np.int64),
-        "token_flags": _scatter([row.token_flags for row in rows], words, total, TOKEN_FLAGS),
+        "token_flags": _scatter([row.token_flags for row in rows], word_rows, token_count, TOKEN_FLAGS),
         "token_open": token_ids[:, OPEN] > 0,
-        "token_real": np.bincount(words, minlength=total) > 0,
+        "token_real": np.bincount(word_rows, minlength=token_count) > 0,
         "token_page": np.repeat(np.arange(len(rows)), lengths + 1),
         "token_row": token_row,
         "token_mask": token_mask,
-        "element_words": ids[:, ELEMENT_WORDS].astype(np.int64),
+        "text_words": texts[read].astype(np.int64),
+        "text_page": np.repeat(page, word_counts),
+        "text_first": np.cumsum(word_counts) - word_counts,
         "element_tag": ids[:, TAG].astype(np.int64),
         "element_classes": ids[:, CLASS].astype(np.int64),
-        "element_flags": _scatter([row.element_flags for row in rows], at, count, ELEMENT_FLAGS),
+        "element_flags": _scatter([row.element_flags for row in rows], element_rows, count, ELEMENT_FLAGS),
         "element_page": page,
         "matched": matched,
-        "match_row": place * MATCH_KINDS + kind,
-        "match_token": np.repeat(first_token, found) + token,
+        "match_row": index * MATCH_KINDS + kind,
+        "match_token": np.repeat(first_token, match_counts) + token,
         "match_weight": np.concatenate([row.match_weights for row in rows]),
         "row": row,
         "clickable": (ids[:, CLICKABLE] > 0)[row] & real,
@@ -147,16 +160,16 @@ def collate(rows: Sequence[Features]) -> Batch:
 def _blocks(
     sizes: NDArray[np.int64], lengths: NDArray[np.int64], token_row: NDArray[np.int64], token_mask: NDArray[np.bool_]
 ) -> tuple[tuple[Block, ...], NDArray[np.int64], int]:
-    """Blocks for pages of these sizes, the first flat row of each page, and how many rows there are."""
+    """Group pages by size. Returns the blocks, the first flat row of each page [B], and the number of flat rows N."""
     order = np.argsort(-sizes, kind="stable")
     first_row = np.zeros(len(sizes), dtype=np.int64)
     blocks, start, row = [], 0, 0
     descending = sizes[order]
     while start < len(order):
         size = max(1, int(descending[start]))
-        waste = np.cumsum(size - descending[start:] - size / 10)
-        over = np.flatnonzero(waste > SPARE_ROWS)
-        end = start + int(over[0]) if len(over) else len(order)
+        padding = np.cumsum(size - descending[start:] - size / 10)
+        too_much = np.flatnonzero(padding > PADDING_ROWS)
+        end = start + int(too_much[0]) if len(too_much) else len(order)
         pages = np.sort(order[start:end])
         first_row[pages] = row + np.arange(len(pages)) * size
         mask = np.arange(size) < sizes[pages][:, None]
@@ -180,20 +193,20 @@ def _bias(mask: NDArray[np.bool_]) -> Tensor:
 
 
 def _ranges(lengths: NDArray[np.int64]) -> NDArray[np.int64]:
-    """0 .. n - 1 for every n in turn."""
+    """0 .. n - 1 for each n of `lengths`, concatenated."""
     ends = np.cumsum(lengths)
     return np.arange(int(ends[-1])) - np.repeat(ends - lengths, lengths)
 
 
-def _scatter(parts: Sequence[NDArray[Any]], at: NDArray[np.int64], count: int, width: int) -> NDArray[Any]:
-    """[count, width] of zeros, with the rows of all parts at their places."""
+def _scatter(parts: Sequence[NDArray[Any]], rows: NDArray[np.int64], count: int, width: int) -> NDArray[Any]:
+    """[count, width] zeros, with the concatenated rows of `parts` written to `rows`."""
     table = np.zeros((count, width), dtype=parts[0].dtype)
-    table[at] = np.concatenate(parts)
+    table[rows] = np.concatenate(parts)
     return table
 
 
 def without_overlap(batch: Batch) -> Batch:
-    """The same pages without the features that say where goal and page agree."""
+    """The batch without the features that mark common words of goal and page, for the ablation `net.goal_overlap`."""
     tokens, elements = batch.token_flags.clone(), batch.element_flags.clone()
     tokens[:, TOKEN_OVERLAP] = 0.0
     elements[:, ELEMENT_OVERLAP] = 0.0

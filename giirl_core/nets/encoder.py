@@ -1,4 +1,4 @@
-"""Encodes pages under their goals, after DOMNet (Liu et al. 2018): words, elements and the relations among them."""
+"""The encoder of policy and reward, after DOMNet (Liu et al. 2018): encodes pages under their goals."""
 
 from __future__ import annotations
 
@@ -20,47 +20,50 @@ from giirl_core.nets.features import (
     TOKEN_FLAGS,
     WIDTH_PX,
 )
-from giirl_core.nets.language import PADDING, Vectors
+from giirl_core.nets.language import Vectors
 
-ADJACENT_PX = 4.0  # at this distance an adjacent element counts 1 / e
-LINES_APART = 3.0  # a vertical pixel counts as so many horizontal ones
+ADJACENT_PX = 4.0  # the distance at which the weight of an adjacent element falls to 1 / e
+VERTICAL_WEIGHT = 3.0  # a vertical pixel counts as this many horizontal ones, so that lines stay apart
 
 
 @dataclass(frozen=True, slots=True)
 class Encoding:
-    """B pages as read by one net."""
+    """B pages, encoded by one net. D is the width of the net; T, N, L and E are as in Batch."""
 
     batch: Batch
-    tokens: Tensor  # [T, D] flat, as in the batch
-    elements: Tensor  # [N, D] flat
-    row: Tensor  # [B, E] the flat row of each element
-    token_row: Tensor  # [B, L] the flat row of each word
-    token_mask: Tensor  # [B, L]
-    summary: Tensor  # [B, D] goal and page together
+    tokens: Tensor  # [T, D] goal tokens, flat
+    elements: Tensor  # [N, D] page elements, flat
+    row: Tensor  # [B, E] flat row of each element
+    token_row: Tensor  # [B, L] flat row of each goal token
+    token_mask: Tensor  # [B, L] True for tokens, False for padding
+    summary: Tensor  # [B, D] of goal and page together
 
-    def take(self, pages: Tensor) -> Encoding:
-        """Some of the pages [b]; the flat rows of all stay at hand."""
+    def select(self, pages: Tensor) -> Encoding:
+        """The encoding of b of the pages, given by their indices [b]. The flat tables stay complete."""
         per_page = (self.row, self.token_row, self.token_mask, self.summary)
         return Encoding(self.batch, self.tokens, self.elements, *(part.index_select(0, pages) for part in per_page))
 
     @property
-    def words(self) -> Tensor:
-        """[B, L, D] the words of each goal, zeros beyond them."""
+    def goal_tokens(self) -> Tensor:
+        """[B, L, D] the tokens of each goal, 0 after the last one."""
         return functional.embedding(self.token_row, self.tokens)
 
     def element(self, index: Tensor) -> Tensor:
-        """[B, M, D] of the elements `index` [B, M]."""
+        """[B, M, D] the elements with the page indices `index` [B, M]."""
         return functional.embedding(self.row.gather(1, index), self.elements)
 
     def token(self, index: Tensor) -> Tensor:
-        """[B, M, D] of the tokens `index` [B, M]."""
+        """[B, M, D] the goal tokens with the indices `index` [B, M]."""
         return functional.embedding(self.token_row.gather(1, index), self.tokens)
 
 
 class Encoder(nn.Module):
-    """Goal tokens and page elements in one space of `width`, elements aligned with the goal and each other."""
+    """Encodes goal tokens and page elements with `config.width` units each.
 
-    table: Tensor
+    Elements attend to the goal and to the other elements of the page.
+    """
+
+    table: Tensor  # [V, W] word vectors, not trained
 
     def __init__(self, vectors: Vectors, config: NetConfig) -> None:
         super().__init__()
@@ -72,22 +75,22 @@ class Encoder(nn.Module):
         self.tag = nn.Embedding(TAGS, 16)
         self.classes = nn.Embedding(CLASSES, 8, padding_idx=0)
         self.element_in = nn.Linear(words + 16 + 8 + ELEMENT_FLAGS + MATCH_KINDS * width, width)
-        self.align = nn.Linear(width, width)
-        self.aligned = nn.Linear(2 * width, width)
-        self.neighbours = Attention(width)
-        self.beside = nn.Linear(width, width) if config.adjacent_elements else None
+        self.goal_query = nn.Linear(width, width)
+        self.goal_out = nn.Linear(2 * width, width)
+        self.attention = Attention(width)
+        self.adjacent = nn.Linear(width, width) if config.adjacent_elements else None
         self.goal_pool = nn.Linear(width, 1)
         self.summary = nn.Linear(3 * width, width)
 
     def forward(self, batch: Batch) -> Encoding:
         batch = batch if self.config.goal_overlap else without_overlap(batch)
-        tokens = self._read_goal(batch)
-        elements = self._read_page(batch, tokens)
+        tokens = self._encode_goal(batch)
+        elements = self._encode_page(batch, tokens)
         summary = torch.relu(self.summary(self._pool(batch, tokens, elements)))
         return Encoding(batch, tokens, elements, batch.row, batch.token_row, batch.token_mask, summary)
 
-    def _read_goal(self, batch: Batch) -> Tensor:
-        """[T, D]: each word in the light of its neighbours; the rows between goals stay 0."""
+    def _encode_goal(self, batch: Batch) -> Tensor:
+        """[T, D] the goal tokens in the context of the tokens around them. The rows between goals stay 0."""
         real = batch.token_real.unsqueeze(1)
         words = functional.embedding(batch.token_words, self.table)
         hidden = torch.relu(self.token_in(torch.cat([words, batch.token_flags], 1))) * real
@@ -96,82 +99,82 @@ class Encoder(nn.Module):
             hidden = hidden + torch.relu(conv(torch.cat([padded[:-2], hidden, padded[2:]], 1))) * real
         return hidden
 
-    def _read_page(self, batch: Batch, tokens: Tensor) -> Tensor:
-        """[N, D]: each element with the words of the goal it repeats, the ones it resembles, and its neighbours."""
-        read = (batch.element_words != PADDING).sum(1, keepdim=True).clamp(min=1)
-        text = functional.embedding_bag(batch.element_words, self.table, mode="sum") / read
+    def _encode_page(self, batch: Batch, tokens: Tensor) -> Tensor:
+        """[N, D] the elements, with the goal tokens they match, attention to the goal, and the other elements."""
+        text = functional.embedding_bag(batch.text_words, self.table, batch.text_first, mode="mean")
         classes = functional.embedding_bag(batch.element_classes, self.classes.weight, mode="sum", padding_idx=0)
         own = torch.cat([text, self.tag(batch.element_tag), classes, batch.element_flags], dim=1)
+        # element_in(cat[own, matching tokens]); most elements match no token, so their part of the product is skipped.
         weight = self.element_in.weight
         hidden = functional.linear(own, weight[:, : own.shape[1]], self.element_in.bias)
-        repeated = functional.linear(self._repeated(batch, tokens), weight[:, own.shape[1] :])
-        hidden = torch.relu(hidden.index_add(0, batch.matched, repeated))  # element_in of both, end to end
-        alignment = self._alignment(batch, hidden, tokens)
-        hidden = hidden + torch.relu(self.aligned(torch.cat([hidden, alignment], dim=1)))
-        out: Tensor = hidden + self.neighbours(hidden, batch) if self.config.element_attention else hidden
-        if self.beside is not None:
-            pairs = zip(nearness(batch), batch.by_block(hidden), strict=True)
-            near = [share @ part for share, part in pairs]
-            out = out + torch.relu(self.beside(torch.cat([part.flatten(0, 1) for part in near])))
+        matching = functional.linear(self._matching_tokens(batch, tokens), weight[:, own.shape[1] :])
+        hidden = torch.relu(hidden.index_add(0, batch.matched, matching))
+        goal = self._attend_to_goal(batch, hidden, tokens)
+        hidden = hidden + torch.relu(self.goal_out(torch.cat([hidden, goal], dim=1)))
+        out: Tensor = hidden + self.attention(hidden, batch) if self.config.element_attention else hidden
+        if self.adjacent is not None:
+            pairs = zip(adjacency(batch), batch.by_block(hidden), strict=True)
+            near = [weights @ part for weights, part in pairs]
+            out = out + torch.relu(self.adjacent(torch.cat([part.flatten(0, 1) for part in near])))
         return out
 
-    def _repeated(self, batch: Batch, tokens: Tensor) -> Tensor:
-        """[R, MATCH_KINDS * D]: for each kind of match the mean of the goal's words that a matched element repeats."""
+    def _matching_tokens(self, batch: Batch, tokens: Tensor) -> Tensor:
+        """[R, MATCH_KINDS * D] for each matched element and kind of match, the mean of the matching goal tokens."""
         count, width = len(batch.matched), tokens.shape[1]
         words = functional.embedding(batch.match_token, tokens) * batch.match_weight.unsqueeze(1)
-        blank = torch.zeros(count * MATCH_KINDS, width, device=tokens.device)
-        return blank.index_add(0, batch.match_row, words).view(count, MATCH_KINDS * width)
+        zeros = torch.zeros(count * MATCH_KINDS, width, device=tokens.device)
+        return zeros.index_add(0, batch.match_row, words).view(count, MATCH_KINDS * width)
 
-    def _alignment(self, batch: Batch, hidden: Tensor, tokens: Tensor) -> Tensor:
-        """[N, D]: the goal's words, each as much as an element resembles it."""
-        aligned = []
-        for block, query in zip(batch.blocks, batch.by_block(self.align(hidden)), strict=True):
+    def _attend_to_goal(self, batch: Batch, hidden: Tensor, tokens: Tensor) -> Tensor:
+        """[N, D] the goal tokens, averaged with the attention weights of each element."""
+        attended = []
+        for block, query in zip(batch.blocks, batch.by_block(self.goal_query(hidden)), strict=True):
             words = functional.embedding(block.token_row, tokens).unsqueeze(1)
             bias = block.token_bias[:, None, None, :]
             mixed = functional.scaled_dot_product_attention(query.unsqueeze(1), words, words, attn_mask=bias)
-            aligned.append(mixed.flatten(0, 2))
-        return torch.cat(aligned)
+            attended.append(mixed.flatten(0, 2))
+        return torch.cat(attended)
 
     def _pool(self, batch: Batch, tokens: Tensor, elements: Tensor) -> Tensor:
-        """[B, 3 * D]: a weighted mean of each goal's words, mean and maximum of each page's elements."""
-        weights = self.goal_pool(tokens).squeeze(1)
+        """[B, 3 * D] the attention-weighted mean of the goal tokens, and the mean and maximum of the elements."""
+        scores = self.goal_pool(tokens).squeeze(1)
         pooled = []
-        for block, some in zip(batch.blocks, batch.by_block(elements), strict=True):
-            share = (weights[block.token_row] + block.token_bias).softmax(1)
-            goal = torch.bmm(share.unsqueeze(1), functional.embedding(block.token_row, tokens)).squeeze(1)
+        for block, part in zip(batch.blocks, batch.by_block(elements), strict=True):
+            weights = (scores[block.token_row] + block.token_bias).softmax(1)
+            goal = torch.bmm(weights.unsqueeze(1), functional.embedding(block.token_row, tokens)).squeeze(1)
             if block.bias is None:
-                mean = some.mean(1)
+                mean = part.mean(1)
             else:
                 real = (block.bias == 0).unsqueeze(2)
-                some = some * real
-                mean = some.sum(1) / real.sum(1).clamp(min=1)
-            pooled.append(torch.cat([goal, mean, some.amax(1)], dim=1))  # elements are not negative
-        back = torch.cat([block.pages for block in batch.blocks]).argsort()
-        return torch.cat(pooled).index_select(0, back)
+                part = part * real
+                mean = part.sum(1) / real.sum(1).clamp(min=1)
+            pooled.append(torch.cat([goal, mean, part.amax(1)], dim=1))  # elements are not negative
+        batch_order = torch.cat([block.pages for block in batch.blocks]).argsort()
+        return torch.cat(pooled).index_select(0, batch_order)
 
 
-def nearness(batch: Batch) -> list[Tensor]:
-    """[b, E, E] by block: each element's weights over the other leaves of its page, by distance in pixels; 0 elsewhere.
+def adjacency(batch: Batch) -> list[Tensor]:
+    """[b, E, E] for each block: the weights of each element over the other leaves of its page; 0 for non-leaves.
 
-    DOMNet's neighbours in pixels (Liu et al. 2018) in a soft form: most of the weight is on what is adjacent to it in
-    its line, where lines are some px apart, edge to edge.
+    A soft form of DOMNet's neighbours within some pixels (Liu et al. 2018). The weight falls with the distance between
+    the edges of two boxes in pixels, and faster vertically, so most of it is on elements next to it in the same line.
     """
     page = torch.tensor([WIDTH_PX, HEIGHT_PX, WIDTH_PX, HEIGHT_PX], device=batch.element_flags.device)
-    shares = []
+    weights = []
     for block, box in zip(batch.blocks, batch.by_block(batch.element_flags[:, POSITION] * page), strict=True):
         size = box[:, :, 2:]
         centre = box[:, :, :2] + size / 2
         gap = (centre[:, :, None] - centre[:, None]).abs() - (size[:, :, None] + size[:, None]) / 2
-        across, down = gap.clamp(min=0).unbind(3)
+        horizontal, vertical = gap.clamp(min=0).unbind(3)
         leaf = batch.clickable.index_select(0, block.pages)[:, : block.size]
         other = leaf[:, None, :] & ~torch.eye(block.size, dtype=torch.bool, device=box.device)
-        scores = (-(across + LINES_APART * down) / ADJACENT_PX).masked_fill(~other, MASKED_LOGIT)
-        shares.append(scores.softmax(2) * other)
-    return shares
+        scores = (-(horizontal + VERTICAL_WEIGHT * vertical) / ADJACENT_PX).masked_fill(~other, MASKED_LOGIT)
+        weights.append(scores.softmax(2) * other)
+    return weights
 
 
 class Attention(nn.Module):
-    """Four heads from every element of a page to every other: what stands near what."""
+    """Multi-head self-attention over the elements of each page (Vaswani et al. 2017)."""
 
     def __init__(self, width: int, heads: int = 4) -> None:
         super().__init__()
@@ -180,7 +183,7 @@ class Attention(nn.Module):
         self.out = nn.Linear(width, width)
 
     def forward(self, x: Tensor, batch: Batch) -> Tensor:
-        """[N, D] from the flat [N, D]."""
+        """[N, D] from the flat elements [N, D]."""
         mixed = []
         for block, part in zip(batch.blocks, batch.by_block(self.project(x)), strict=True):
             q, k, v = part.unflatten(2, (3, self.heads, -1)).permute(2, 0, 3, 1, 4).unbind(0)

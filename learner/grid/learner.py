@@ -24,7 +24,7 @@ from learner.grid.nets import GridFeatures, PotentialNet, QNet, RewardNet, one_h
 from learner.grid.steps import EXPERT_TEMPERATURE, NO_STEPS, GridDemos, Index, Steps, expert_steps, random_steps
 from learner.losses import gradient_penalty, logistic_loss
 from learner.protocols import ACCURACY, EXPERT
-from learner.schedules import anneal, anneal_reward
+from learner.schedules import anneal, anneal_discriminator
 
 TARGET_RATE = 0.05  # weight of Q in each update of the moving average that acts and sets targets
 RewardFn = Callable[[Steps], Tensor]
@@ -253,7 +253,7 @@ class GridLearner:
     def anneal(self, step: int) -> None:
         """Set the learning rates for iteration `step`, from 0 to iterations - 1."""
         done = step / max(self.config.iterations - 1, 1)
-        anneal_reward(self.discriminator, done)
+        anneal_discriminator(self.discriminator, done)
         anneal(self.policy, done)
 
     @property

@@ -1,4 +1,4 @@
-"""Training from scratch solves the four fake tasks with the default settings."""
+"""Training from scratch in the fake browser, with the default settings, solves the tasks."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def learn(path: Path, *changes: str) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_giirl_learns_the_four_fake_tasks_from_scratch_and_a_reward_that_follows_the_goal(tmp_path: Path) -> None:
+def test_giirl_solves_the_four_fake_tasks_and_learns_a_reward_that_depends_on_the_goal(tmp_path: Path) -> None:
     tasks = learn(tmp_path / "run", "iterations=70")["tasks"]
     assert {task: row["success"] for task, row in tasks.items() if row["success"] < 0.95} == {}
     assert tasks["enter-text"]["random"] < 0.2  # random actions do not solve it
@@ -42,8 +42,8 @@ def test_giirl_learns_the_four_fake_tasks_from_scratch_and_a_reward_that_follows
 
 
 def test_cloning_generalises_from_demonstrations_to_unseen_pages(tmp_path: Path) -> None:
-    words = ("algorithm=cloning", "rollout_batch=2", 'tasks=["click-test-2", "click-button"]', "net.width=16")
+    setting = ("algorithm=cloning", "rollout_batch=2", 'tasks=["click-test-2", "click-button"]', "net.width=16")
     quick = ("cloning.learning_rate=0.01", "iterations=25", "evaluate.episodes=40", "evaluate.random_episodes=4")
-    result = learn(tmp_path / "run", *words, *quick)
+    result = learn(tmp_path / "run", *setting, *quick)
     assert result["algorithm"] == "cloning"
     assert {task: row["success"] for task, row in result["tasks"].items() if row["success"] < 0.9} == {}

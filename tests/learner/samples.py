@@ -1,4 +1,4 @@
-"""Small pages, goals and nets that the tests of learning are made of."""
+"""Small pages, goals, nets and demonstrations for the tests of the learner."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ WIDTH = 16
 
 
 def vectors() -> Vectors:
-    """The small table."""
+    """The small table of hashed word vectors."""
     return load_vectors("hashed")
 
 
 def page(*rows: str, value: Sequence[str] = (), parent: Sequence[int] = ()) -> Page:
-    """Rows given as "tag" or "tag:text"."""
+    """A page with one element per row; a row is "tag" or "tag:text"."""
     count = len(rows)
     tags, texts = zip(*(row.partition(":")[::2] for row in rows), strict=True) if rows else ((), ())
     return Page(
@@ -60,12 +60,12 @@ CASES = (
 
 
 def batch_of(*cases: tuple[Page, Goal]) -> Batch:
-    """Pages under their goals, as tensors."""
-    return collate([featurise(shown, goal, vectors()) for shown, goal in cases])
+    """The batch of some pages under their goals."""
+    return collate([featurise(case_page, goal, vectors()) for case_page, goal in cases])
 
 
 def dense_matches(features: Features) -> NDArray[np.float32]:
-    """[MATCH_KINDS, E, L] the matches of a page as a table."""
+    """[MATCH_KINDS, E, L] the weights of all matches as a dense table."""
     table = np.zeros((MATCH_KINDS, len(features.element_ids), len(features.token_ids)), dtype=np.float32)
     element, kind, token = features.match_ids.T
     table[kind, element, token] = features.match_weights
@@ -73,32 +73,32 @@ def dense_matches(features: Features) -> NDArray[np.float32]:
 
 
 def on_one_page(actions: Sequence[Action]) -> ActionBatch:
-    """All of them on one page."""
+    """[1, M] M actions on one page."""
     columns = [[getattr(action, name) for action in actions] for name in ("verb", "element", "start", "end")]
     verb, element, start, end = (torch.tensor([column]) for column in columns)
     return ActionBatch(verb=verb, element=element, start=start, end=end)
 
 
 def policy(seed: int = 0) -> PolicyNet:
-    """An untrained policy."""
+    """An untrained policy net."""
     torch.manual_seed(seed)
     return PolicyNet(vectors(), NetConfig(width=WIDTH))
 
 
 def reward_net(seed: int = 0) -> RewardNet:
-    """An untrained reward."""
+    """An untrained reward net."""
     torch.manual_seed(seed)
     return RewardNet(vectors(), NetConfig(width=WIDTH))
 
 
-def legal_actions(shown: Page, goal: Goal) -> list[Action]:
-    """Every action that the page and the goal allow."""
+def legal_actions(case_page: Page, goal: Goal) -> list[Action]:
+    """All legal actions on a page under a goal: clicks first."""
     words = len(goal.tokens)
-    clicks = [Action(verb=Verb.CLICK, element=e) for e in range(len(shown)) if shown.leaf[e]]
+    clicks = [Action(verb=Verb.CLICK, element=e) for e in range(len(case_page)) if case_page.leaf[e]]
     return clicks + [
         Action(verb=Verb.TYPE, element=e, start=start, end=end)
-        for e in range(len(shown))
-        if shown.typable[e]
+        for e in range(len(case_page))
+        if case_page.typable[e]
         for start in range(words)
         for end in range(start, words)
     ]
@@ -107,7 +107,7 @@ def legal_actions(shown: Page, goal: Goal) -> list[Action]:
 def trajectory(
     goal: str, pages: Sequence[Page], actions: Sequence[Action], *, task: str = "some-task", seed: int = 0
 ) -> Trajectory:
-    """A demonstration, unless its caller says otherwise."""
+    """A demonstration with rewards 0."""
     return Trajectory(
         task=task,
         goal=Goal(goal),
@@ -121,7 +121,7 @@ def trajectory(
 
 
 def expert_episodes(per_task: int, tasks: Sequence[str] = tuple(TASKS), tabs: int = 4) -> list[Episode]:
-    """What the scripted experts do in the fake browser."""
+    """Episodes of the scripted experts in the fake browser."""
     browser = FakeFarm(tabs=tabs)
     schedule = Schedule(tasks, tabs, purpose=Purpose.DEMONSTRATE, run_seed=0, quota=per_task)
     rounds = play(browser, ExpertAgent(expert), schedule, step_limit=10, metrics=Metrics())

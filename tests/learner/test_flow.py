@@ -106,10 +106,10 @@ def test_the_bound_falls_with_lag_and_grows_without() -> None:
 
 def test_actors_share_what_may_be_outstanding_and_lock_step_has_no_bound() -> None:
     flow = FlowControl(BATCH, 1)
-    assert flow.windows(["b", "a", "c"], most=256) == {"a": 11, "b": 11, "c": 10}
-    assert flow.windows(["a"], most=8) == {"a": 8}
-    assert sum(flow.windows([str(n) for n in range(1000)], most=8).values()) == BATCH
-    assert FlowControl(BATCH, 0).windows(["a"], most=8) == {"a": 8}
+    assert flow.windows(["b", "a", "c"], credits=256) == {"a": 11, "b": 11, "c": 10}
+    assert flow.windows(["a"], credits=8) == {"a": 8}
+    assert sum(flow.windows([str(n) for n in range(1000)], credits=8).values()) == BATCH
+    assert FlowControl(BATCH, 0).windows(["a"], credits=8) == {"a": 8}
 
 
 @pytest.mark.parametrize("wrong", [{"credits": 0}, {"max_lag": -1}, {"max_bytes": 0}, {"batch": -1}])

@@ -1,4 +1,4 @@
-"""The nets on flat rows in blocks give the losses and gradients of nets on padded tables, whatever the pages."""
+"""The nets on flat tables in blocks give the same losses and gradients as the padded reference implementation."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Step = tuple[Page, Goal, Action]
 
 
 def random_page(rng: np.random.Generator, count: int, *, fields: bool = True) -> Page:
-    """A page of so many elements, some of them inside others."""
+    """A random page with `count` elements, some of them nested."""
     tags = rng.choice([tag for tag in TAGS if fields or tag not in ("input_text", "textarea")], count)
     texts = [" ".join(rng.choice(WORDS, rng.integers(0, 12))) for _ in range(count)]
     values = [" ".join(rng.choice(WORDS, rng.integers(0, 3))) for _ in range(count)]
@@ -38,9 +38,9 @@ def random_steps(seed: int, sizes: Sequence[int], *, fields: bool = True) -> lis
     rng = np.random.default_rng(seed)
     steps = []
     for size in sizes:
-        shown, goal = random_page(rng, size, fields=fields), Goal(" ".join(rng.choice(WORDS, rng.integers(1, 30))))
-        actions = legal_actions(shown, goal) or [Action(verb=Verb.CLICK, element=0)]
-        steps.append((shown, goal, actions[int(rng.integers(len(actions)))]))
+        case_page, goal = random_page(rng, size, fields=fields), Goal(" ".join(rng.choice(WORDS, rng.integers(1, 30))))
+        actions = legal_actions(case_page, goal) or [Action(verb=Verb.CLICK, element=0)]
+        steps.append((case_page, goal, actions[int(rng.integers(len(actions)))]))
     return steps
 
 
@@ -67,9 +67,9 @@ CASES = {
 
 
 @pytest.mark.parametrize("steps", CASES.values(), ids=CASES)
-def test_features_are_those_of_the_plain_loop(steps: list[Step]) -> None:
-    for shown, goal, _ in steps:
-        plain, fast = padded_features.featurise(shown, goal, vectors()), featurise(shown, goal, vectors())
+def test_features_equal_those_of_the_reference_implementation(steps: list[Step]) -> None:
+    for case_page, goal, _ in steps:
+        plain, fast = padded_features.featurise(case_page, goal, vectors()), featurise(case_page, goal, vectors())
         assert np.array_equal(plain.token_words, fast.token_ids[:, 0])
         assert np.array_equal(plain.token_open, fast.token_ids[:, 1] > 0)
         assert np.allclose(plain.token_flags, fast.token_flags)
@@ -83,7 +83,9 @@ def test_features_are_those_of_the_plain_loop(steps: list[Step]) -> None:
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("adjacent", [False, True])
 @pytest.mark.parametrize("steps", CASES.values(), ids=CASES)
-def test_losses_and_gradients_are_those_of_padded_tables(steps: list[Step], adjacent: bool, device: str) -> None:
+def test_losses_and_gradients_equal_those_of_the_padded_reference(
+    steps: list[Step], adjacent: bool, device: str
+) -> None:
     config = NetConfig(width=16, adjacent_elements=adjacent)
     table = padded_features.collate([padded_features.featurise(p, g, vectors()) for p, g, _ in steps])
     batch = collate([featurise(p, g, vectors()) for p, g, _ in steps]).to(torch.device(device))
@@ -94,8 +96,8 @@ def test_losses_and_gradients_are_those_of_padded_tables(steps: list[Step], adja
     policy, reward = PolicyNet(vectors(), config).to(device), RewardNet(vectors(), config).to(device)
     policy.load_state_dict(slow_policy.state_dict())
     reward.load_state_dict(slow_reward.state_dict())
-    seen = policy.encoder(batch)
-    parts = (*policy.evaluate(seen, flat), policy.state_value(seen))
+    encoding = policy.encoder(batch)
+    parts = (*policy.evaluate(encoding, flat), policy.state_value(encoding))
     for fast, wanted in zip(parts, slow_policy.evaluate(table, padded), strict=True):
         assert torch.allclose(fast.cpu(), wanted, rtol=1e-4, atol=1e-5)
     slow = slow_policy.evaluate(table, padded)
@@ -105,7 +107,7 @@ def test_losses_and_gradients_are_those_of_padded_tables(steps: list[Step], adja
     assert same(gradients(reward, fast_logits.pow(2).mean()), gradients(slow_reward, slow_logits.pow(2).mean()))
 
 
-def test_an_empty_page_neither_stops_a_batch_nor_changes_its_other_pages() -> None:
+def test_an_empty_page_in_a_batch_raises_no_error_and_does_not_change_the_other_pages() -> None:
     steps = random_steps(4, [5, 7])
     features = [featurise(p, g, vectors()) for p, g, _ in steps]
     empty = featurise(page(), Goal("Go."), vectors())
@@ -115,7 +117,7 @@ def test_an_empty_page_neither_stops_a_batch_nor_changes_its_other_pages() -> No
     assert torch.isfinite(net.encoder(collate([empty])).elements).all()
 
 
-def test_at_most_a_tenth_of_the_rows_and_a_few_per_block_are_padding() -> None:
+def test_padding_is_at_most_a_tenth_of_the_rows_plus_a_few_rows_per_block() -> None:
     rng = np.random.default_rng(0)
     sizes = rng.integers(1, 120, 200)
     batch = collate([featurise(random_page(rng, int(size)), Goal("Go."), vectors()) for size in sizes])
@@ -124,12 +126,12 @@ def test_at_most_a_tenth_of_the_rows_and_a_few_per_block_are_padding() -> None:
     assert sorted(torch.cat([block.pages for block in batch.blocks]).tolist()) == list(range(200))
 
 
-def test_every_row_belongs_to_the_page_that_points_at_it() -> None:
+def test_each_flat_row_has_the_index_of_the_page_that_refers_to_it() -> None:
     steps = random_steps(5, [3, 50, 4, 50, 1, 20])
     batch: Batch = collate([featurise(p, g, vectors()) for p, g, _ in steps])
-    for b, (shown, goal, _) in enumerate(steps):
-        assert (batch.element_page[batch.row[b, : len(shown)]] == b).all()
+    for b, (case_page, goal, _) in enumerate(steps):
+        assert (batch.element_page[batch.row[b, : len(case_page)]] == b).all()
         assert (batch.token_page[batch.token_row[b, : len(goal.tokens)]] == b).all()
         assert batch.token_real[batch.token_row[b, : len(goal.tokens)]].all()
-    rows = torch.cat([batch.row[b, : len(shown)] for b, (shown, *_) in enumerate(steps)])
+    rows = torch.cat([batch.row[b, : len(case_page)] for b, (case_page, *_) in enumerate(steps)])
     assert len(rows.unique()) == len(rows)
