@@ -91,12 +91,12 @@ class Encoder(nn.Module):
 
     def _encode_goal(self, batch: Batch) -> Tensor:
         """[T, D] the goal tokens in the context of the tokens around them. The rows between goals stay 0."""
-        real = batch.token_real.unsqueeze(1)
+        real = batch.token_real.unsqueeze(1).float()
         words = functional.embedding(batch.token_words, self.table)
         hidden = torch.relu(self.token_in(torch.cat([words, batch.token_flags], 1))) * real
         for conv in self.token_conv if self.config.word_order else ():
-            padded = functional.pad(hidden, (0, 0, 1, 1))
-            hidden = hidden + torch.relu(conv(torch.cat([padded[:-2], hidden, padded[2:]], 1))) * real
+            window = torch.cat([hidden.roll(1, 0), hidden, hidden.roll(-1, 0)], dim=1)  # the last row is zeros
+            hidden = hidden + torch.relu(conv(window)) * real
         return hidden
 
     def _encode_page(self, batch: Batch, tokens: Tensor) -> Tensor:
@@ -145,7 +145,7 @@ class Encoder(nn.Module):
             if block.bias is None:
                 mean = part.mean(1)
             else:
-                real = (block.bias == 0).unsqueeze(2)
+                real = (block.bias == 0).unsqueeze(2).float()
                 part = part * real
                 mean = part.sum(1) / real.sum(1).clamp(min=1)
             pooled.append(torch.cat([goal, mean, part.amax(1)], dim=1))  # elements are not negative
