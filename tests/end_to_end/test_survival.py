@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from tests.end_to_end.commands import curve, read_json, run_giirl, step, total
-from tests.end_to_end.survival import TASKS, Survival
+from tests.end_to_end.survival import ITERATIONS, TASKS, Survival
 
-pytestmark = [pytest.mark.chrome, pytest.mark.ray, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.chrome, pytest.mark.ray, pytest.mark.timeout(600)]
 
 METRICS = {
     "actor-0": {
@@ -41,7 +41,7 @@ METRICS = {
 
 def test_a_run_that_lost_browser_actor_and_reward_service_completes(survival: Survival) -> None:
     assert survival.status == 0, survival.output
-    assert step(survival.run) == 120
+    assert step(survival.run) == ITERATIONS
     assert survival.leftover == []
 
 
