@@ -1,7 +1,4 @@
-"""ZeroMQ sockets: many dealers connect to one router; message sizes, sending queues and waits are bounded.
-
-Receiving queues are not: what a peer may have in flight is the business of the protocols above (`delivery`, `scoring`).
-"""
+"""ZeroMQ sockets: many dealers connect to one router; message sizes, sending queues and waits are bounded."""
 
 from __future__ import annotations
 
@@ -20,7 +17,6 @@ from zmq.utils.monitor import recv_monitor_message
 from giirl_core.wire.messages import MAX_BYTES
 
 SEND_HIGH_WATER_MARK = 256  # queued messages for each connection
-RECEIVE_HIGH_WATER_MARK = 0  # no limit, see `_new_socket`
 LINGER_MS = 500  # how long a closing socket may still send
 BACKLOG = 4096  # connections waiting to be accepted: all actors reconnect at once when a learner restarts
 MAX_SOCKETS = 1 << 16  # in one process: simulations run thousands of actors in one
@@ -257,25 +253,17 @@ def _dealer_context() -> zmq.Context[zmq.Socket[bytes]]:
 
 
 def _new_socket(context: zmq.Context[zmq.Socket[bytes]], kind: int) -> zmq.Socket[bytes]:
-    """A socket with all limits set.
+    """A socket with all options set. It has no receive limit and no ZMTP heartbeats, because libzmq aborts on either.
 
-    libzmq (all releases up to 4.3.5) aborts the process when it writes to a connection after an I/O error
-    (stream_engine_base.cpp:310, `assert !_io_error`). It notes such an error, without closing the connection, when the
-    peer disconnects while input is stopped: the receiving queue is full, the socket is closing, or another connection
-    has taken over the identity (`router_handover`). Two things write then, and both are excluded here:
-
-    - The timer of ZMTP heartbeats (`heartbeat_ivl`). TCP keepalive and TCP_USER_TIMEOUT find dead peers instead; they
-      work in the kernel, also while this process is busy.
-    - A PING of the peer, when input is restarted because a full receiving queue has space again. A queue without a
-      limit is never full, so input is never restarted. That also excludes the abort of libzmq issue 3937.
-
-    `tests.chaos.abort` shows that either one is enough to be aborted.
+    Up to version 4.3.5, libzmq aborts the process when it writes to a connection after an I/O error
+    (stream_engine_base.cpp:310). It keeps such a connection if the peer disconnects while input is stopped, which is so
+    when the receiving queue is full, the socket closes, or another connection takes over the identity. Two things then
+    write: the timer of heartbeats, and the answer to a PING of the peer when a full queue has space again. The kernel
+    finds dead peers instead, and our protocols bound what waits to be received. `tests.chaos.abort` counts aborts.
     """
     socket = context.socket(kind)
     socket.linger = LINGER_MS
-    socket.sndhwm, socket.rcvhwm = SEND_HIGH_WATER_MARK, RECEIVE_HIGH_WATER_MARK
-    socket.maxmsgsize = MAX_BYTES
-    socket.heartbeat_ivl = 0
+    socket.sndhwm, socket.rcvhwm, socket.maxmsgsize = SEND_HIGH_WATER_MARK, 0, MAX_BYTES
     socket.tcp_keepalive, socket.tcp_keepalive_cnt = 1, PEER_TIMEOUT_MS // 1000 // KEEPALIVE_S
     socket.tcp_keepalive_idle = socket.tcp_keepalive_intvl = KEEPALIVE_S
     socket.tcp_maxrt = PEER_TIMEOUT_MS  # TCP_USER_TIMEOUT
