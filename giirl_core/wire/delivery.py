@@ -29,7 +29,8 @@ Messages of the actor carry a `Stamp`. Hello, heartbeat and bye are notices (`No
 
 Flow control: a grant has a `limit`, and the actor sends only sequences below it. The learner raises the limit as it
 takes episodes from its queue. An actor with too many episodes that are not acked stops playing until they are. So does
-an actor whose copies take too much memory; before that, the flag `full` in its notices asks for a checkpoint.
+an actor whose copies take too much memory; before that, the flag `full` in its notices asks for a checkpoint. An actor
+sends notices more and more rarely while the learner does not answer them.
 
 Lost messages: notices and grants carry the complete state, not changes, so a lost or repeated one does no harm. A
 connection keeps the order of its messages. Therefore, when a grant answers a notice that was sent after an episode but
