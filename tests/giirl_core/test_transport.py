@@ -151,7 +151,7 @@ def _connections(address: str) -> Iterator[tuple[int, ...]]:
     tcp = [socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_USER_TIMEOUT]
     for entry in Path("/proc/self/fd").iterdir():
         with suppress(OSError):  # closed meanwhile, or not connected
-            if not os.readlink(entry).startswith("socket:"):
+            if not str(entry.readlink()).startswith("socket:"):
                 continue
             with socket.socket(fileno=os.dup(int(entry.name))) as end:
                 if end.family == socket.AF_INET and address in [
