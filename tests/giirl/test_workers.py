@@ -20,8 +20,8 @@ from giirl_core.nets.parameters import seal_net
 from giirl_core.nets.reward import build_reward
 from giirl_core.types import Episode
 from reward_service.process import RewardProcess
-from tests.chaos.threads import ThreadPlatform
 from tests.giirl.small import config, run
+from tests.thread_platform import ThreadPlatform
 
 LOCK_STEP = ("runtime=local", "stream.policy_lag=0", "stream.reward_lag=0", "actors.tabs=2")
 FEW = ("iterations=3", "evaluate.episodes=1", "evaluate.random_episodes=1")
