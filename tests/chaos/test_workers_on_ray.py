@@ -56,7 +56,7 @@ def test_a_run_whose_actor_dies_at_every_start_is_saved_and_ends_with_an_error(f
         pytest.skip("takes minutes: `pytest tests/chaos` runs it")
     with run_folder() as run, Command(*WORDS, f"run={run}", env=ENV) as command:
         command.until(lambda: step(run) > 2, "first iterations", timeout_s=START_S)
-        counter_file, started = run / "actors" / "actor-0.tally", set[int]()
+        counter_file, started = run / "actors" / "actor-0.count", set[int]()
 
         def failed() -> bool:
             incarnation, _ = read_counts(counter_file)[-1]
@@ -92,7 +92,7 @@ def test_a_hung_actor_and_a_dead_reward_service_are_replaced_while_the_run_goes_
         command.stop(signal.SIGINT)
         assert command.wait(timeout_s=90) == 130, command.err
         assert command.wait_leftover() == []
-        assert unaccounted(run, run / "actors/actor-0.tally") == 0
+        assert unaccounted(run, run / "actors/actor-0.count") == 0
 
 
 def test_actor_reward_service_and_learner_go_on_after_an_abort(full: bool) -> None:
@@ -121,7 +121,7 @@ def test_actor_reward_service_and_learner_go_on_after_an_abort(full: bool) -> No
                 assert second.wait(timeout_s=90) == 130, second.err
                 assert second.wait_leftover() == []
             assert first.wait_leftover(timeout_s=RAY_CLEANUP_S) == []
-        assert unaccounted(run, run / "actors/actor-0.tally") == 0
+        assert unaccounted(run, run / "actors/actor-0.count") == 0
 
 
 def test_a_learner_that_is_resumed_on_a_cluster_reattaches_its_actors_and_replicas(full: bool) -> None:
@@ -143,4 +143,4 @@ def test_a_learner_that_is_resumed_on_a_cluster_reattaches_its_actors_and_replic
             second.stop(signal.SIGTERM)
             assert second.wait(timeout_s=90) == 130, second.err
         identity = (run / "identity").read_text()
-        assert unaccounted(run, head.temporary / "giirl" / identity / "actor-0.tally") == 0
+        assert unaccounted(run, head.temporary / "giirl" / identity / "actor-0.count") == 0
