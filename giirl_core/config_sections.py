@@ -187,7 +187,7 @@ class PolicyConfig:
     """Discount factor per step."""
     entropy: PositiveFloat = 0.15
     """Entropy weight alpha of the first iteration. [nats of reward per nat of entropy]"""
-    final_entropy: Annotated[float, Field(gt=0, le=1)] = 0.3
+    final_entropy_fraction: Annotated[float, Field(gt=0, le=1)] = 0.3
     """Entropy weight of the last iteration, as a fraction of the first. In the grid it does not fall."""
     vtrace_weight: Weight = 1.0
     """Weight of the V-trace policy gradient on the actions taken. [relative]"""
@@ -278,9 +278,9 @@ class GridConfig:
     """Goals among them that training never sees."""
     sentences: Literal["plain", "all"] = "plain"
     """One sentence for each goal, or all synonyms and word orders."""
-    order: Literal[1, 2] = 2
-    """Counts single words (1), or also pairs of neighbouring words (2)."""
-    neighbours: bool = False
+    ngram_order: Literal[1, 2] = 2
+    """Longest n-grams counted in the instruction: single words (1), or also pairs of neighbouring words (2). [words]"""
+    adjacent_cells: bool = False
     """Nets also see the four cells around the agent."""
     full_map: bool = False
     """The policy also sees the whole map. The reward never does."""

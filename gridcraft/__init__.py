@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from gymnasium import register
 
 __all__ = [
+    "ColourPair",
     "LanguageGridCraft",
     "Layout",
-    "Pair",
     "World",
     "build_world",
     "named_layout",
@@ -24,7 +24,7 @@ __all__ = [
 _MODULES = {
     "LanguageGridCraft": "gridcraft.env",
     "Layout": "gridcraft.layouts",
-    "Pair": "gridcraft.instructions",
+    "ColourPair": "gridcraft.instructions",
     "World": "gridcraft.world",
     "build_world": "gridcraft.world",
     "named_layout": "gridcraft.layouts",
@@ -35,7 +35,7 @@ _MODULES = {
 
 if TYPE_CHECKING:
     from gridcraft.env import LanguageGridCraft
-    from gridcraft.instructions import Pair
+    from gridcraft.instructions import ColourPair
     from gridcraft.layouts import Layout, named_layout, random_layout
     from gridcraft.planning import solve
     from gridcraft.world import World, build_world, true_reward

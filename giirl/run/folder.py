@@ -113,4 +113,4 @@ class RunFolder:
     def weights(self, checkpoint: Path, net: str) -> Weights:
         """The weights of a net ("policy" or "reward") in a checkpoint."""
         version = json.loads((checkpoint / "learner.json").read_text())["version"]
-        return Weights.seal(version, (checkpoint / f"{net}.safetensors").read_bytes())
+        return Weights.with_digest(version, (checkpoint / f"{net}.safetensors").read_bytes())
