@@ -16,6 +16,8 @@ from giirl_core.types import Episode
 from giirl_core.weights import Weights
 from giirl_core.wire.messages import read_episodes, write_episodes
 
+RUNTIME_FILE = "runtime.json"  # in a checkpoint: where the runtime continues
+
 
 class RunFolder:
     """The paths of a run's files, and reading and writing them."""

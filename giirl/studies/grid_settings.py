@@ -72,7 +72,7 @@ def _shorter(config: Config, grid: GridConfig) -> Config:
 
 
 def few(seed: int, demonstrations: int) -> Config:
-    """The joint setting with so many demonstrations per layout and goal."""
+    """The joint setting with `demonstrations` per layout and goal."""
     full = joint(seed)
     grid = dataclasses.replace(full.grid, demonstrations=demonstrations)
     return _shorter(full, grid)

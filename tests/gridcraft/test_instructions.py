@@ -60,7 +60,7 @@ def test_sampled_sentences_depend_on_the_seed_and_use_both_word_orders() -> None
 
 def test_bigrams_distinguish_a_sentence_from_its_goal_swap_and_single_words_do_not() -> None:
     sentence, swapped = plain_sentence(ColourPair("red", "blue")), plain_sentence(ColourPair("blue", "red"))
-    words, bigrams = BagOfWords([sentence, swapped]), BagOfWords([sentence, swapped], order=2)
+    words, bigrams = BagOfWords([sentence, swapped]), BagOfWords([sentence, swapped], ngram_order=2)
     assert (words(sentence) == words(swapped)).all()
     assert (bigrams(sentence) != bigrams(swapped)).any()
 

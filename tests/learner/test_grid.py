@@ -216,7 +216,7 @@ def test_the_airl_reward_leaves_out_the_shaping_terms() -> None:
 def test_goal_features_depend_on_word_order_only_with_bigrams() -> None:
     texts = ["Go to Red. Avoid Blue.", "Go to Blue. Avoid Red."]
     for order, equal in ((1, True), (2, False)):
-        learner = GridLearner(with_grid(order=order), WORLD, PAIRS)
+        learner = GridLearner(with_grid(ngram_order=order), WORLD, PAIRS)
         goals = GridFeatures(WORLD, texts, learner.bag, learner.config.grid).goals
         assert torch.equal(goals[0], goals[1]) == equal
 
