@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -88,10 +88,13 @@ class Learner:
         anneal(self.cloner, progress)
         anneal(self.soft_q, progress)
 
-    def bc_warmup(self) -> None:
-        """Behavioural cloning for `policy.bc_warmup_updates` updates, to be called before the first iteration."""
+    def bc_warmup(self) -> Iterator[dict[str, float]]:
+        """Behavioural cloning for `policy.bc_warmup_updates` updates, to be run before the first iteration.
+
+        Yields the statistics of each update.
+        """
         for _ in range(self.config.policy.bc_warmup_updates):
-            self.cloner.update(self.demos.sample(self.config.cloning.batch))
+            yield self.cloner.update(self.demos.sample(self.config.cloning.batch))
         self.soft_q.update_target(1.0)
 
     def load_reward(self, weights: Weights) -> None:
