@@ -78,6 +78,18 @@ def training(actors: int, tabs: int, cases: tuple[str, ...], json_file: Path | N
     _report(measure(Display(), actors=actors, tabs=tabs, cases=cases or ("four", "mix")), json_file)
 
 
+@bench.command()
+@click.option("--actors", multiple=True, type=click.IntRange(1), help="A number of actors; may be given again.")
+@click.option("--delay", default=0.2, show_default=True, type=click.FloatRange(0), help="Seconds of every page step.")
+@click.option("--seeds", default=3, show_default=True, type=click.IntRange(1), help="Runs of each number of actors.")
+@JSON
+def scaling(actors: tuple[int, ...], delay: float, seeds: int, json_file: Path | None) -> None:
+    """Time to 95 % on two tasks with 1, 2, 4 and 8 actors, on pages that respond slowly."""
+    from benchmarks.scaling import measure
+
+    _report(measure(Display(), actors=actors or (1, 2, 4, 8), delay_s=delay, seeds=seeds), json_file)
+
+
 def _report(found: dict[str, Any], json_file: Path | None) -> None:
     """Print every number, and write the JSON."""
     for group, values in found.items():
