@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-import re
 import shutil
-import socket
-import subprocess
 import tempfile
 import threading
 from pathlib import Path
@@ -20,7 +17,14 @@ from selenium.webdriver.remote.remote_connection import RemoteConnection
 from urllib3.exceptions import HTTPError
 
 from browser_farm.chrome.driver import Driver
-from browser_farm.chrome.launch_errors import INSTALL, error_line, find_cause
+from browser_farm.chrome.launch_errors import (
+    INSTALL,
+    Cause,
+    error_line,
+    find_cause,
+    find_cause_of_chrome,
+    find_cause_of_driver,
+)
 from giirl_core.config_sections import Sandbox
 from giirl_core.files import short_temporary_folder
 
@@ -28,7 +32,6 @@ CHROMES = ("chromium", "chromium-browser", "google-chrome-stable", "google-chrom
 DRIVERS = ("chromedriver", "chromium.chromedriver")
 SANDBOX_VARIABLE = "GIIRL_CHROME_SANDBOX"
 SMALL_SHM_BYTES = 1 << 29
-VERSION_TIMEOUT_S = 20.0
 FLAGS = (
     "--allow-file-access-from-files",  # pages read their own style sheets
     "--disable-background-networking",
@@ -132,11 +135,7 @@ class Chrome:
         self._driver: Driver | None = None
         self._connection: RemoteConnection | None = None
         try:
-            session = self._launch(self._options(headless, with_sandbox))
-            # The address names the host, "localhost", which may stand for ::1 alone or for nothing.
-            port = str(session.capabilities["goog:chromeOptions"]["debuggerAddress"]).rpartition(":")[2]
-            self.debugger_address = f"127.0.0.1:{port}"
-            self.first_target = str(session.current_window_handle)
+            self._launch(self._options(headless, with_sandbox))
             hub = self.directory / "hub.html"
             hub.write_text("<!DOCTYPE html>", encoding="utf-8")
             self.hub_url = hub.as_uri()
@@ -147,52 +146,52 @@ class Chrome:
             self.end()
             raise
 
-    def _launch(self, options: webdriver.ChromeOptions) -> webdriver.Remote:
+    def _launch(self, options: webdriver.ChromeOptions) -> None:
         (self.directory / "tmp").mkdir()
         try:
             driver = Driver(self._program, self.directory, {"TZ": "UTC", "TMPDIR": str(self.directory / "tmp")})
         except OSError as error:
-            raise self._error(self._program, "", str(error.strerror)) from error
+            raise self._error(self._program, str(error), find_cause(str(error))) from error
         self._driver = driver
         # Selenium has no timeout for the whole launch. Killing the processes makes its call return.
         watchdog = threading.Timer(self._timeout_s, driver.stop)
         watchdog.daemon = True
         watchdog.start()
+        timed_out = watchdog.finished.is_set
         try:
             port = driver.wait_for_port(2 * self._timeout_s)
             if port is None:
-                raise self._error(self._program, driver.output, "it ended", timed_out=watchdog.finished.is_set())
-            config = ClientConfig(
-                remote_server_addr=f"http://127.0.0.1:{port}",
-                proxy=Proxy({"proxyType": ProxyType.DIRECT}),
-                timeout=math.ceil(self._timeout_s),
-            )
-            self._connection = RemoteConnection(client_config=config)
-            session = webdriver.Remote(command_executor=self._connection, options=options)
+                cause = None if timed_out() else find_cause_of_driver(driver.output)
+                raise self._error(self._program, driver.output, cause, timed_out=timed_out())
+            self._open_session(port, options)
         except (WebDriverException, HTTPError, OSError) as error:
-            late = watchdog.finished.is_set()
-            raise self._error(self._binary, driver.output, _first_line(error), timed_out=late) from error
+            if timed_out():  # the error is of our making
+                raise self._error(self._binary, driver.output, find_cause(driver.output), timed_out=True) from error
+            said = f"{_first_line(error)}\n{driver.output}"
+            raise self._error(self._binary, said, find_cause_of_chrome(said, self._binary)) from error
         finally:
             watchdog.cancel()
         driver.launched()
-        return session
 
-    def _error(self, program: Path, output: str, reason: str, *, timed_out: bool = False) -> RuntimeError:
-        """What to raise when `program` has written `output` and failed for `reason`: CannotLaunch if it always will."""
-        said = f"{reason}\n{output}"
-        cause = find_cause(said)
-        why = f"{error_line(said) or reason}{f'; {cause.fix}' if cause else ''}"
-        if timed_out:
-            message = f"{program} did not start within {self._timeout_s:g} s: {why}"
-        elif cause is None and program == self._program and "ChromeDriver" not in output:
-            return CannotLaunch(f"{program} is no chromedriver: {why}; {INSTALL}, or set GIIRL_CHROMEDRIVER")
-        elif cause is None and program == self._binary and not _is_chrome(program):
-            return CannotLaunch(f"{program} is no Chrome: {why}; {INSTALL}, or set GIIRL_CHROME")
-        elif cause is None and not _has_localhost():
-            fix = "add the line '127.0.0.1 localhost' to /etc/hosts"
-            return CannotLaunch(f"{program} did not start: {why}; chromedriver needs the name localhost: {fix}")
-        else:
-            message = f"{program} did not start: {why}"
+    def _open_session(self, port: int, options: webdriver.ChromeOptions) -> None:
+        """Let the chromedriver at this port start Chrome."""
+        config = ClientConfig(
+            remote_server_addr=f"http://127.0.0.1:{port}",
+            proxy=Proxy({"proxyType": ProxyType.DIRECT}),
+            timeout=math.ceil(self._timeout_s),
+        )
+        self._connection = RemoteConnection(client_config=config)
+        session = webdriver.Remote(command_executor=self._connection, options=options)
+        # The address names the host, "localhost", which may stand for ::1 alone.
+        debugger_port = str(session.capabilities["goog:chromeOptions"]["debuggerAddress"]).rpartition(":")[2]
+        self.debugger_address = f"127.0.0.1:{debugger_port}"
+        self.first_target = str(session.current_window_handle)
+
+    def _error(self, program: Path, said: str, cause: Cause | None, *, timed_out: bool = False) -> RuntimeError:
+        """What to raise for a program that has `said` this: CannotLaunch if another attempt would fail alike."""
+        when = f" within {self._timeout_s:g} s" if timed_out else ""
+        why = error_line(said) or "it said nothing"
+        message = f"{program} did not start{when}: {why}{f'; {cause.fix}' if cause else ''}"
         return CannotLaunch(message) if cause and cause.lasting else LaunchFailed(message)
 
     def _options(self, headless: bool, with_sandbox: bool) -> webdriver.ChromeOptions:
@@ -226,20 +225,3 @@ def _first_line(error: Exception) -> str:
     """The message of a selenium error, without stack trace and link to the documentation."""
     first = str(error).partition("\n")[0].removeprefix("Message: ").partition("; For documentation")[0]
     return first or type(error).__name__
-
-
-def _is_chrome(program: Path) -> bool:
-    """Whether a program calls itself a version of Chrome, whoever built it: four numbers."""
-    try:
-        done = subprocess.run([program, "--version"], capture_output=True, text=True, timeout=VERSION_TIMEOUT_S)
-    except (OSError, ValueError, subprocess.TimeoutExpired):
-        return False
-    return re.search(r"\d+(\.\d+){3}", done.stdout) is not None and "ChromeDriver" not in done.stdout
-
-
-def _has_localhost() -> bool:
-    """Whether the name localhost has an address. Chrome needs none, but chromedriver asks for one to reach it."""
-    try:
-        return bool(socket.getaddrinfo("localhost", None))
-    except OSError:
-        return False

@@ -127,7 +127,8 @@ def test_closing_twice_is_allowed_and_leaves_nothing_behind(tmp_path: Path, monk
 
 
 @pytest.mark.parametrize(
-    ("behaviour", "why"), [("exit 1", "did not start: session not created"), ("sleep 60", "did not start within 2 s: ")]
+    ("behaviour", "why"),
+    [("exit 1", "did not start: it said nothing"), ("sleep 60", "did not start within 2 s: it said nothing")],
 )
 def test_a_chrome_that_never_starts_raises_a_one_line_error_after_three_attempts(
     behaviour: str, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
