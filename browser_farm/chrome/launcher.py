@@ -83,19 +83,19 @@ class LaunchFailed(RuntimeError):
 
 
 def find(variable: str, names: tuple[str, ...], what: str) -> Path:
-    """The program whose path is in the environment variable, else the first of `names` on PATH.
+    """The absolute path of the program in the environment variable, else of the first of `names` on PATH.
 
     ChromeMissing when there is none; `what` names the program in the message.
     """
     given = os.environ.get(variable)
     if given:
         if os.access(given, os.X_OK) and Path(given).is_file():
-            return Path(given)
+            return Path(given).absolute()
         raise ChromeMissing(f"{variable}={given} is not a program: wanted the path of {what} ({INSTALL})")
     for name in names:
         path = shutil.which(name)
         if path:
-            return Path(path)
+            return Path(path).absolute()
     raise ChromeMissing(f"no {what} on PATH (looked for {', '.join(names)}): {INSTALL}, or set {variable}")
 
 

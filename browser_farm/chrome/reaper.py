@@ -104,6 +104,8 @@ def _wait_for_end(owner: int) -> None:
         ends.append(os.pidfd_open(owner))  # a fork of the owner may keep the pipe open: watch the owner as well
     except ProcessLookupError:
         return
+    except OSError:
+        pass  # old kernels and some containers do not offer it
     while _has_children() and not select.select(ends, [], [], POLL_S)[0]:
         pass
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from browser_farm.chrome import launcher
+from browser_farm.farm import ChromeFarm
 from tests.browser_farm import machines
 from tests.browser_farm.machines import NO_NAMESPACES, OPENED, counted, launch, mounted, run, starts
 
@@ -152,6 +153,15 @@ def test_a_machine_without_the_name_localhost_is_told_which_line_it_lacks(tmp_pa
     said = launch(mounted(tmp_path / "hosts", "/etc/hosts"))
     assert "127.0.0.1 localhost" in said
     assert "attempts" not in said
+
+
+def test_programs_are_found_by_a_relative_path_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    counted(tmp_path, REAL)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("GIIRL_CHROME", "./chrome")
+    with ChromeFarm(tabs=1) as farm:
+        assert farm.tabs == 1
+    assert starts(tmp_path) == 1
 
 
 @pytest.mark.parametrize(

@@ -226,3 +226,26 @@ def test_chrome_ends_with_its_farm_although_a_fork_of_the_owner_goes_on(monkeypa
     finally:
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
+
+
+WITHOUT_PIDFD = """
+import os, sys
+from pathlib import Path
+from browser_farm.chrome import reaper
+
+def refuse(pid):
+    raise OSError(38, "Function not implemented")
+
+os.pidfd_open = refuse
+reaper.main(Path(sys.argv[1]), os.getppid(), ["sleep", "600"])
+"""
+
+
+def test_the_reaper_needs_no_pidfd_which_some_containers_refuse(tmp_path: Path) -> None:
+    owner = subprocess.Popen([sys.executable, "-c", WITHOUT_PIDFD, tmp_path], cwd=ROOT, stdin=subprocess.PIPE)
+    deadline = time.monotonic() + 30
+    while not reaper.processes(tmp_path) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert len(reaper.processes(tmp_path)) == 1
+    owner.communicate(b"end", timeout=30)
+    assert reaper.processes(tmp_path) == set()
