@@ -60,7 +60,7 @@ directory, pid = ray.get(ray.remote(max_restarts=0)(Worker).remote().open.remote
 started = len(reaper.processes(Path(directory)))
 os.kill(pid, signal.SIGKILL)
 deadline = time.monotonic() + 60
-while reaper.processes(Path(directory)) and time.monotonic() < deadline:
+while (reaper.processes(Path(directory)) or Path(directory).exists()) and time.monotonic() < deadline:
     time.sleep(0.1)
 print(started > 3, len(reaper.processes(Path(directory))), Path(directory).exists(), flush=True)
 ray.shutdown()
