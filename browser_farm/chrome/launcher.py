@@ -165,7 +165,9 @@ class Chrome:
                 raise self._error(self._program, driver.output, cause, timed_out=timed_out())
             self._open_session(port, options)
         except (WebDriverException, HTTPError, OSError) as error:
-            if timed_out():  # the error is of our making
+            late = timed_out()
+            driver.end()  # then its output is complete
+            if late:  # the error is of our making
                 raise self._error(self._binary, driver.output, find_cause(driver.output), timed_out=True) from error
             said = f"{_first_line(error)}\n{driver.output}"
             raise self._error(self._binary, said, find_cause_of_chrome(said, self._binary)) from error
