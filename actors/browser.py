@@ -27,6 +27,7 @@ def open_browser(config: Config, metrics: Metrics, *, tabs: int = 0) -> Browser:
             tabs=tabs,
             call_timeout_s=config.actors.call_timeout_s,
             launch_timeout_s=config.actors.launch_timeout_s,
+            chrome_sandbox=config.actors.chrome_sandbox,
             on_restart=lambda cause: metrics.browser_recoveries.labels(cause).inc(),
         )
     return SlowBrowser(browser, config.actors.step_delay_s) if config.actors.step_delay_s else browser

@@ -20,6 +20,7 @@ Seconds = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Weight = Annotated[float, Field(ge=0)]
 PositiveFloat = Annotated[float, Field(gt=0)]
+Sandbox = Literal["auto", "on", "off"]
 RewardForm = Literal["logit", "d", "log_d", "gail", "goal"]  # giirl_core/nets/reward.py has the formulas
 
 
@@ -76,6 +77,8 @@ class ActorConfig:
     """Deadline of one call to the browser. [s]"""
     launch_timeout_s: Seconds = 60.0
     """Deadline of starting Chrome. [s]"""
+    chrome_sandbox: Sandbox = "auto"
+    """Chrome's sandbox, which needs user namespaces. `auto` is `GIIRL_CHROME_SANDBOX`, else `on`, but `off` as root."""
     score_timeout_s: Seconds = 1.0
     """Deadline of one request to a reward service. After a second try the learner computes the rewards. [s]"""
     heartbeat_timeout_s: Seconds = 60.0

@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
+MAX_TEMPORARY_LENGTH = 30  # characters; Chrome and Ray add about 75, and the path of a Unix socket holds 107
+
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[BinaryIO]:
@@ -62,3 +64,9 @@ def folder_lock(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(handle)
+
+
+def short_temporary_folder(wanted: str | None = None) -> str:
+    """The folder `wanted`, by default that for temporary files, or /tmp where paths of sockets in it were too long."""
+    folder = wanted or tempfile.gettempdir()
+    return folder if len(folder) <= MAX_TEMPORARY_LENGTH else "/tmp"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,6 +16,7 @@ from browser_farm.chrome.answers import Failure, parse_evaluation
 from browser_farm.chrome.devtools import BROWSER, BrowserGone, DevTools, Json, Reply, browser_url
 from browser_farm.chrome.hub import Hub, Tab
 from browser_farm.chrome.launcher import Chrome, LaunchFailed
+from giirl_core.config_sections import Sandbox
 
 LAUNCH_ATTEMPTS = 3
 MAX_BACKOFF_S = 5.0
@@ -38,14 +40,15 @@ class Tabs:
         call_timeout_s: float,
         launch_timeout_s: float,
         headless: bool,
-        no_sandbox: bool | None,
+        sandbox: Sandbox,
     ) -> None:
+        self._owner = os.getpid()
         self._count = count
         self._view = view
         self._call_timeout_s = call_timeout_s
         self._launch_timeout_s = launch_timeout_s
         self._headless = headless
-        self._no_sandbox = no_sandbox
+        self._sandbox = sandbox
         self._chrome: Chrome | None = None
         self._devtools: DevTools | None = None
         self._hubs: list[Hub] = []
@@ -56,7 +59,10 @@ class Tabs:
         return self._chrome
 
     def launch(self) -> None:
-        """End the current Chrome, if any, and start another with its tabs; RuntimeError after 3 attempts."""
+        """End the current Chrome, if any, and start another with its tabs.
+
+        RuntimeError after 3 attempts, or after the first if another would fail alike.
+        """
         attempts = tenacity.Retrying(
             stop=tenacity.stop_after_attempt(LAUNCH_ATTEMPTS),
             wait=tenacity.wait_random_exponential(multiplier=0.5, max=MAX_BACKOFF_S),
@@ -156,13 +162,17 @@ class Tabs:
 
     @property
     def _tools(self) -> DevTools:
+        if os.getpid() != self._owner:
+            raise RuntimeError(
+                f"this Chrome belongs to process {self._owner}: its fork {os.getpid()} must open another"
+            )
         if self._devtools is None:
             raise BrowserGone("Chrome is not running")
         return self._devtools
 
     def _launch_once(self) -> None:
         self.close()
-        self._chrome = Chrome(headless=self._headless, no_sandbox=self._no_sandbox, timeout_s=self._launch_timeout_s)
+        self._chrome = Chrome(headless=self._headless, sandbox=self._sandbox, timeout_s=self._launch_timeout_s)
         url = browser_url(self._chrome.debugger_address, timeout_s=self._launch_timeout_s)
         self._devtools = DevTools(url, timeout_s=self._launch_timeout_s, on_event=self._on_event)
         hubs = max(min(self._count, PROCESSES), math.ceil(self._count / MAX_TABS_PER_PROCESS))

@@ -17,6 +17,7 @@ from browser_farm.farm import ChromeFarm
 from browser_farm.gym.adapter import ActionDict, Fields, MiniWoBAdapter, ObservationDict
 from browser_farm.gym.elements import ELEMENTS
 from browser_farm.gym.slot import EnvSlot, ResetOptions, checked_render_mode
+from giirl_core.config_sections import Sandbox
 
 StepTuple = tuple[ObservationDict, float, bool, bool, dict[str, Any]]
 
@@ -49,6 +50,7 @@ class MiniWoB(gymnasium.Env[ObservationDict, ActionDict]):
         root_dom: bool = True,  # False omits the tree of DOMElement from `info`, which saves time
         trusted: bool = False,  # coordinates and keys as Chrome's native input, like the package's: slower
         call_timeout_s: float = 10.0,
+        chrome_sandbox: Sandbox = "auto",
     ) -> None:
         self.render_mode = checked_render_mode(render_mode, self.metadata["render_modes"])
         self.adapter = MiniWoBAdapter.of(task, action_space_config, field_extractor, reward_processor)
@@ -59,7 +61,12 @@ class MiniWoB(gymnasium.Env[ObservationDict, ActionDict]):
         self._slot = EnvSlot(self.adapter)
         self._final: tuple[float, bool, bool, dict[str, Any]] | None = None  # of the step that ended the episode
         self._farm = ChromeFarm(
-            tabs=1, view=ELEMENTS, headless=render_mode != "human", trusted=trusted, call_timeout_s=call_timeout_s
+            tabs=1,
+            view=ELEMENTS,
+            headless=render_mode != "human",
+            trusted=trusted,
+            call_timeout_s=call_timeout_s,
+            chrome_sandbox=chrome_sandbox,
         )
 
     def reset(

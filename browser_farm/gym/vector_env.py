@@ -19,6 +19,7 @@ from browser_farm.farm import ChromeFarm
 from browser_farm.gym.adapter import ActionDict, Fields, MiniWoBAdapter, ObservationDict
 from browser_farm.gym.elements import ELEMENTS
 from browser_farm.gym.slot import EnvSlot, ResetOptions, checked_render_mode
+from giirl_core.config_sections import Sandbox
 from giirl_core.types import Command, EpisodeSpec, Observation, StepResult
 
 Flags = NDArray[np.bool_]
@@ -64,6 +65,7 @@ class MiniWoBVector(VectorEnv[ObservationDict, Any, NDArray[Any]]):
         root_dom: bool = False,
         trusted: bool = False,
         call_timeout_s: float = 10.0,
+        chrome_sandbox: Sandbox = "auto",
     ) -> None:
         self.render_mode = checked_render_mode(render_mode, self.metadata["render_modes"])
         if num_envs < 1 or (max_episode_steps is not None and max_episode_steps < 1):
@@ -88,6 +90,7 @@ class MiniWoBVector(VectorEnv[ObservationDict, Any, NDArray[Any]]):
             headless=render_mode != "human",
             trusted=trusted,
             call_timeout_s=call_timeout_s,
+            chrome_sandbox=chrome_sandbox,
         )
 
     def reset(

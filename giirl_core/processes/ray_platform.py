@@ -17,6 +17,7 @@ from ray.exceptions import RayError
 from tenacity import retry, retry_if_exception, stop_after_attempt
 
 from giirl_core.config import Config
+from giirl_core.files import short_temporary_folder
 from giirl_core.processes.supervision import ProcessDied
 
 NAMESPACE = "giirl"
@@ -132,6 +133,7 @@ def _init(config: Config) -> None:
         num_cpus=max(config.actors.count, os.cpu_count() or 1),
         include_dashboard=False,
         object_store_memory=256 << 20,
+        _temp_dir=f"{short_temporary_folder(os.environ.get('RAY_TMPDIR'))}/ray",  # Ray has sockets in it
         **quiet,
     )
 
