@@ -9,7 +9,7 @@ from pathlib import Path
 from actors.agents import PolicyAgent
 from actors.browser import open_browser
 from actors.rollouts import play_pages
-from giirl.run.throughput import StreamState
+from giirl.throughput import StreamState
 from giirl_core.config import Config
 from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
@@ -35,7 +35,7 @@ class SerialRuntime:
         self._reward_version = 0
         self._played = 0  # pages of each task so far
         if resume is not None:
-            self._played = json.loads((resume / RUNTIME).read_text())["played"]
+            self._played = json.loads((resume / RUNTIME).read_bytes())["played"]
 
     def publish(self, policy: Weights, reward: Weights) -> None:
         self._agent.load(policy)
@@ -74,7 +74,7 @@ class SerialRuntime:
 
     def save(self, folder: Path) -> None:
         """Write which pages come next."""
-        (folder / RUNTIME).write_text(json.dumps({"played": self._played}))
+        (folder / RUNTIME).write_text(json.dumps({"played": self._played}), encoding="utf-8")
 
     def committed(self) -> None:
         """Nothing to do: no episode is in flight between two steps."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from giirl.run.throughput import StreamState, Throughput, format_rates
+from giirl.throughput import StreamState, Throughput, format_rates
 
 
 @pytest.fixture
