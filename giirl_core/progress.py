@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
-from typing import Any
+from typing import Any, TextIO
 
 from rich.cells import cell_len
 from rich.console import Console
@@ -24,6 +24,7 @@ from rich.progress import (
 from rich.table import Column, Table
 
 LOG_INTERVAL_S = 10.0
+PROXIED = "rich_proxied_file"
 NARROW, WIDEST = 80, 10_000  # columns of a terminal
 
 
@@ -32,15 +33,23 @@ class _Messages:
 
     def write(self, text: str) -> int:
         with suppress(OSError):
-            sys.stderr.write(text)
+            self._stream.write(text)
         return len(text)
 
     def flush(self) -> None:
         with suppress(OSError):
-            sys.stderr.flush()
+            self._stream.flush()
+
+    @property
+    def _stream(self) -> TextIO:
+        """Standard error itself: while a progress bar is shown, rich puts an object of its own in its place."""
+        stream: TextIO = getattr(sys.stderr, PROXIED, sys.stderr)
+        return stream
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(sys.stderr, name)
+        if name == PROXIED:
+            raise AttributeError(name)
+        return getattr(self._stream, name)
 
 
 class Job:

@@ -6,9 +6,10 @@ import io
 import os
 import signal
 import sys
+from contextlib import suppress
 from pathlib import Path
 from types import FrameType
-from typing import Any, Never
+from typing import Never
 
 import click
 from rich.table import Column, Table
@@ -196,5 +197,6 @@ def main() -> Never:
     sys.exit(0)
 
 
-def _say(text: Any) -> None:
-    click.echo(f"giirl: {text}", err=True)
+def _say(text: str) -> None:
+    with suppress(OSError):  # nobody reads it any more; the exit status tells
+        click.echo(f"giirl: {text}", err=True)

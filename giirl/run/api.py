@@ -32,7 +32,8 @@ def train(
 
     `checkpoint` is one of the folder's checkpoints and resumes from there. A new run that fails before its first
     checkpoint removes what it wrote. SIGINT, SIGTERM and SIGHUP save a checkpoint and raise `giirl.signals.Stopped`.
-    A full disk and other errors of the operating system are a RuntimeError that says how to go on.
+    From the first checkpoint on, a full disk or another error of the operating system is a RuntimeError that says how
+    to go on.
     """
     with folder.held():
         try:
@@ -41,6 +42,8 @@ def train(
             result = world_of(config).train(config, folder, checkpoint, display or Display())
             write_json(folder.result, result)
         except OSError as error:
+            if not folder.saved:
+                raise
             raise RuntimeError(f"{explain(error)}{folder.way_on}") from error
         finally:
             folder.discard_unless_saved()
