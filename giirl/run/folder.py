@@ -22,6 +22,8 @@ from learner.checkpoint import has_checkpoint, latest_checkpoint
 
 RESERVED = 1 << 20  # incarnations of one session: more than its actors can ever use
 
+RUNTIME_FILE = "runtime.json"  # in a checkpoint: where the runtime continues
+
 
 class RunFolder:
     """The paths of a run's files, and reading and writing them."""
@@ -221,4 +223,4 @@ class RunFolder:
     def weights(self, checkpoint: Path, net: str) -> Weights:
         """The weights of a net ("policy" or "reward") in a checkpoint."""
         version = json.loads((checkpoint / "learner.json").read_bytes())["version"]
-        return Weights.seal(version, (checkpoint / f"{net}.safetensors").read_bytes())
+        return Weights.with_digest(version, (checkpoint / f"{net}.safetensors").read_bytes())
