@@ -101,6 +101,18 @@ def check_writable(path: Path) -> None:
                 Path(file.name).unlink()
 
 
+def writable(path: str | Path) -> Path:
+    """The path; ValueError, before any work, if no file can be written there."""
+    path = Path(path)
+    if path.is_dir() or not path.absolute().parent.is_dir():
+        raise ValueError(f"cannot write {path}: wanted a file in a folder that exists")
+    try:
+        check_writable(path)
+    except OSError as error:
+        raise ValueError(f"cannot write {explain(error)}") from None
+    return path
+
+
 def write_json(path: Path, value: Any) -> None:
     """Write `value` as indented JSON, atomically."""
     with atomic_write(path) as file:

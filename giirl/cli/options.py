@@ -11,7 +11,7 @@ import click
 from rich.table import Table
 
 from giirl_core.config import DEFAULT_TASKS
-from giirl_core.files import check_writable, explain, write_json
+from giirl_core.files import writable, write_json
 from giirl_core.progress import Display
 
 
@@ -46,17 +46,6 @@ class OutputFolder(Place):
         path.mkdir(parents=True, exist_ok=True)
         writable(path / "probe")
         return path
-
-
-def writable(path: Path) -> Path:
-    """The path; ValueError if no file can be written there."""
-    if path.is_dir() or not path.absolute().parent.is_dir():
-        raise ValueError(f"cannot write {path}: wanted a file in a folder that exists")
-    try:
-        check_writable(path)
-    except OSError as error:
-        raise ValueError(f"cannot write {explain(error)}") from None
-    return path
 
 
 RUN = click.argument("run", type=Place())

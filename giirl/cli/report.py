@@ -6,9 +6,10 @@ from pathlib import Path
 
 import click
 
-from giirl.cli.options import RUN, OutputFile, writable
+from giirl.cli.options import RUN, OutputFile
 from giirl.run.folder import RunFolder
 from giirl.run.worlds import world_of
+from giirl_core.files import writable
 from giirl_core.progress import Display
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import click
 
-from giirl.cli.options import DEMOS, JSON, OutputFolder, save_and_show, seeds, writable
+from giirl.cli.options import DEMOS, JSON, OutputFolder, save_and_show, seeds
 from giirl.studies.web import STUDIES, Study, base_settings
-from giirl_core.files import explain, folder_lock
+from giirl_core.files import explain, folder_lock, writable
 from giirl_core.progress import Display
 
 ROOT = Path("runs/studies")

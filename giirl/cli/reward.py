@@ -7,11 +7,12 @@ from pathlib import Path
 
 import click
 
-from giirl.cli.options import JSON, RUN, OutputFile, Place, save_and_show, save_json, writable
+from giirl.cli.options import JSON, RUN, OutputFile, Place, save_and_show, save_json
 from giirl.cli.report import say_written
 from giirl.run.folder import RunFolder
 from giirl.run.worlds import open_web_run, world_of
 from giirl_core.config import Config
+from giirl_core.files import writable
 from giirl_core.progress import Display
 
 

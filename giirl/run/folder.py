@@ -159,21 +159,18 @@ class RunFolder:
     @property
     def identity(self) -> str:
         """A name that no other run has, even one in a folder of the same name. It is stored in the folder."""
-        if not self.identity_file.exists():
+        if not _read(self.identity_file):
             name = "".join(c for c in self.path.name if c.isascii() and (c.isalnum() or c in "-_"))
             self.write(self.identity_file, f"{name[:40]}-{secrets.token_hex(4)}")
-        return self.identity_file.read_text(encoding="utf-8")
+        return _read(self.identity_file)
 
     def reserve_incarnations(self, above: int) -> int:
         """A number from which on the next RESERVED are free for the actors of this session, also on other machines.
 
         It is above `above` and above all numbers of earlier sessions, whatever the clock says.
         """
-        counters = self.actors.glob("*.count")
-        known = [above, *(number for path in counters for number, _ in read_counts(path))]
-        if self.incarnations.exists():
-            known.append(int(self.incarnations.read_text(encoding="utf-8")))
-        first = max(known) + 1
+        counted = [number for path in self.actors.glob("*.count") for number, _ in read_counts(path)]
+        first = max(above, _number(self.incarnations), *counted) + 1
         self.write(self.incarnations, str(first + RESERVED))
         return first
 
@@ -184,8 +181,7 @@ class RunFolder:
 
     def wanted_actors(self) -> int:
         """The number of actors that `giirl actors` asked for, 0 if it was never called."""
-        text = self.wanted.read_text(encoding="utf-8") if self.wanted.exists() else ""
-        return int(text) if text.isdecimal() else 0
+        return _number(self.wanted)
 
     def save_demonstrations(self, episodes: list[Episode]) -> None:
         write_episodes(self.demonstrations, episodes)
@@ -224,3 +220,14 @@ class RunFolder:
         """The weights of a net ("policy" or "reward") in a checkpoint."""
         version = json.loads((checkpoint / "learner.json").read_bytes())["version"]
         return Weights.with_digest(version, (checkpoint / f"{net}.safetensors").read_bytes())
+
+
+def _read(path: Path) -> str:
+    """The text of a file, "" if there is none."""
+    return path.read_text(encoding="utf-8") if path.exists() else ""
+
+
+def _number(path: Path) -> int:
+    """The number in a file, 0 if there is none."""
+    text = _read(path)
+    return int(text) if text.isdecimal() else 0

@@ -48,7 +48,8 @@ class Tally:
 def main() -> None:
     folder, kills, seed = Path(sys.argv[1]).absolute(), int(sys.argv[2]), int(sys.argv[3])
     os.chdir(folder)
-    importlib.import_module("giirl.run.train")  # before the first fork
+    for module in ("giirl.run.api", "giirl.run.train"):  # before the first fork
+        importlib.import_module(module)
     moments, tally = random.Random(seed), Tally()
     operations, seconds = _measure(tally)
     while tally.kills < kills:
