@@ -227,7 +227,7 @@ def memory() -> Check:
     """Memory of the machine, or of the control group if that is less."""
     limit = Path("/sys/fs/cgroup/memory.max")
     size = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if limit.is_file() and (text := limit.read_text().strip()).isdigit():
+    if limit.is_file() and (text := limit.read_text(encoding="utf-8").strip()).isdigit():
         size = min(size, int(text))
     return Check(
         name="memory",

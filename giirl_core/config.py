@@ -20,6 +20,7 @@ from giirl_core.config_sections import (
     LearnerConfig,
     MetricsConfig,
     NetConfig,
+    Place,
     PolicyConfig,
     Positive,
     ScoringConfig,
@@ -64,7 +65,7 @@ Algorithm = Annotated[str, AfterValidator(_known_algorithm), Field(json_schema_e
 class Config:
     """All settings of a run."""
 
-    run: str = ""
+    run: Place = ""
     """Folder of the run. Empty makes `runs/NAME-TIME`."""
     world: WorldName = "miniwob"
     """MiniWoB pages in a browser, or LanguageGridCraft."""
@@ -76,7 +77,7 @@ class Config:
     """Real Chrome, or the fake browser of the tests, which plays a few tasks."""
     algorithm: Algorithm = "giirl"
     """What is trained; each is described in docs/algorithms.md. The grid has giirl and cloning."""
-    reward_from: str = ""
+    reward_from: Place = ""
     """With `algorithm=frozen`, and only there: the run whose learned reward is used."""
     tasks: Annotated[tuple[str, ...], Field(min_length=1)] = DEFAULT_TASKS
     """Tasks to train and evaluate on, with one policy and one reward for all."""

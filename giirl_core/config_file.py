@@ -81,7 +81,7 @@ def keys(section: type[Any] = Config, prefix: str = "") -> list[str]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        text = path.read_text()
+        text = path.read_text(encoding="utf-8-sig")  # in any locale, and with the mark that Windows puts first
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"cannot read the config {path}: {error}; settings are given as key=value") from None
     try:

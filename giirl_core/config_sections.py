@@ -6,9 +6,10 @@ change: `python -m giirl_core.config_reference > docs/configuration.md`.
 
 from __future__ import annotations
 
+import os.path
 from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
@@ -21,6 +22,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 Weight = Annotated[float, Field(ge=0)]
 PositiveFloat = Annotated[float, Field(gt=0)]
 Sandbox = Literal["auto", "on", "off"]
+Place = Annotated[str, AfterValidator(os.path.expanduser)]  # the path of a file or folder; ~ is the home folder
 RewardForm = Literal["logit", "d", "log_d", "gail", "goal"]  # giirl_core/nets/reward.py has the formulas
 
 
@@ -48,7 +50,7 @@ class DemosConfig:
 
     source: Literal["scripted", "file", "recordings"] = "scripted"
     """Scripted experts, a file written by `giirl demos`, or a folder of public human recordings."""
-    path: str = ""
+    path: Place = ""
     """The demonstration file, or the folder of recordings. Unused with scripted experts."""
     per_task: Positive = 100
     """Largest number of demonstrations of each task. [episodes]"""

@@ -262,14 +262,21 @@ class Trajectory:
         sampled = self.sampled if self.sampled is None else replace(self.sampled, rewards=table[:, 1:])
         return replace(self, rewards=table[:, 0], sampled=sampled, reward_version=version)
 
-    def check_learnable(self) -> None:
-        """Raise ValueError when an action is outside the action space of the nets (`Action.learnable`)."""
+    @property
+    def unlearnable(self) -> str:
+        """Which action is outside the action space of the nets (`Action.learnable`); "" when none is."""
         for t, action in enumerate(self.actions):
             if not action.learnable:
-                raise ValueError(
+                return (
                     f"{self.task} with seed {self.seed}, step {t} is {action.verb.name} {action.literal!r:.40} on "
                     f"element {action.element}: the nets only click elements and type words of the goal"
                 )
+        return ""
+
+    def check_learnable(self) -> None:
+        """Raise ValueError when an action is outside the action space of the nets."""
+        if self.unlearnable:
+            raise ValueError(self.unlearnable)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

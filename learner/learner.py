@@ -124,7 +124,7 @@ class Learner:
             "rng": self._rng.bit_generator.state,
             "generator": bytes(self._generator.get_state().tolist()).hex(),
         }
-        (folder / "learner.json").write_text(json.dumps(state, indent=2))
+        (folder / "learner.json").write_text(json.dumps(state, indent=2), encoding="utf-8")
 
     def load(self, folder: Path) -> None:
         """The inverse of `save`. ValueError if the files are of a learner with other nets, or of no learner."""
@@ -134,7 +134,7 @@ class Learner:
             raise ValueError(f"{folder} is no checkpoint of a learner with these settings: {error!r:.200}") from error
 
     def _load(self, folder: Path) -> None:
-        state: dict[str, Any] = json.loads((folder / "learner.json").read_text())
+        state: dict[str, Any] = json.loads((folder / "learner.json").read_bytes())
         for name, net in self._nets().items():
             load_net(net, Weights.with_digest(state["version"], (folder / f"{name}.safetensors").read_bytes()))
         for name, optimiser in self._optimisers().items():

@@ -38,7 +38,7 @@ def processes(directory: Path) -> set[int]:
         if not entry.isdigit() or int(entry) == os.getpid():
             continue
         try:
-            stat = (path / "stat").read_text(errors="replace")
+            stat = (path / "stat").read_text(encoding="utf-8", errors="replace")
             command = (path / "cmdline").read_bytes()
             environment = (path / "environ").read_bytes()
         except OSError:

@@ -14,8 +14,8 @@ from giirl_core.progress import Display
 from giirl_core.types import Episode, EpisodeSpec, Purpose, page_seed
 
 
-def record(tasks: Sequence[str], per_task: int, seed: int, display: Display) -> list[Episode]:
-    """Show `per_task` pages of each task, and return the finished episodes.
+def record(tasks: Sequence[str], per_task: int, seed: int, display: Display) -> Iterator[Episode]:
+    """Show `per_task` pages of each task; the finished episodes come one by one.
 
     Ctrl-C or closing the window ends the recording early. ValueError without a screen.
     """
@@ -30,8 +30,12 @@ def record(tasks: Sequence[str], per_task: int, seed: int, display: Display) -> 
         for task in tasks
         for index in range(per_task)
     ]
+    return _recorded(pages, display)
+
+
+def _recorded(pages: Sequence[EpisodeSpec], display: Display) -> Iterator[Episode]:
     with closing(Recorder()) as recorder:
-        return list(watch(recorder, pages, display))
+        yield from watch(recorder, pages, display)
 
 
 def watch(recorder: Recorder, pages: Sequence[EpisodeSpec], display: Display) -> Iterator[Episode]:
