@@ -20,13 +20,14 @@ _MODULES = {
     "ExpertAgent": "actors.agents",
     "PolicyAgent": "actors.agents",
     "RandomAgent": "actors.agents",
-    "Schedule": "actors.rollouts",
+    "Schedule": "actors.schedule",
     "play": "actors.rollouts",
 }
 
 if TYPE_CHECKING:
     from actors.agents import Agent, Decision, ExpertAgent, PolicyAgent, RandomAgent
-    from actors.rollouts import Schedule, play
+    from actors.rollouts import play
+    from actors.schedule import Schedule
 else:
 
     def __getattr__(name: str) -> object:

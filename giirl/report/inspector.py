@@ -68,7 +68,10 @@ class Inspector:
         return EpisodeView(task=spec.task, seed=spec.seed, frames=(frame,))
 
     def _open(self, spec: EpisodeSpec) -> Observation:
-        return self._browser.reset({TAB: spec})[TAB]
+        opened = self._browser.reset({TAB: spec})
+        for reason in self._browser.unopened.values():
+            raise RuntimeError(reason)
+        return opened[TAB]
 
     def _play(self, spec: EpisodeSpec, others: Sequence[Goal]) -> EpisodeView:
         observation: Observation | None = self._open(spec)
