@@ -9,6 +9,7 @@ import subprocess
 import tempfile
 import threading
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from selenium import webdriver
 from selenium.common.exceptions import WebDriverException
@@ -25,6 +26,7 @@ CHROMES = ("chromium", "chromium-browser", "google-chrome-stable", "google-chrom
 DRIVERS = ("chromedriver", "chromium.chromedriver")
 SMALL_SHM_BYTES = 1 << 29
 MAX_DIRECTORY_LENGTH = 30  # characters; Chrome adds about 75, and the path of a Unix socket holds 107
+NO_NETWORK = "--host-resolver-rules=MAP * ~NOTFOUND"  # for pages
 FLAGS = (
     "--allow-file-access-from-files",  # pages read their own style sheets
     "--disable-background-networking",
@@ -49,7 +51,7 @@ FLAGS = (
     "--enable-features=NetworkServiceInProcess2",
     "--force-color-profile=srgb",
     "--force-device-scale-factor=1",
-    "--host-resolver-rules=MAP * ~NOTFOUND",  # a page has no network
+    NO_NETWORK,
     "--js-flags=--max-semi-space-size=2",  # MB; many pages share a heap, whose young generation would grow otherwise
     "--lang=en-US",
     "--metrics-recording-only",
@@ -102,13 +104,13 @@ def _short_directory() -> str:
 class Chrome:
     """One running Chrome; `end` kills its processes and removes its files.
 
-    `debugger_address` is host:port and `first_target` the tab that Chrome opens at its start. `hub_url` is an empty
-    file:// page, which may script the task pages.
+    `debugger_address` is host:port and `first_target` the tab that Chrome opens at its start. `hub_url` is a page that
+    may script the task pages: an empty file, or `base_url` if a server has them.
 
     Raises ChromeMissing or LaunchFailed.
     """
 
-    def __init__(self, *, headless: bool, no_sandbox: bool | None, timeout_s: float) -> None:
+    def __init__(self, *, headless: bool, no_sandbox: bool | None, timeout_s: float, base_url: str = "") -> None:
         binary = find("GIIRL_CHROME", CHROMES, "Chrome")
         driver = find("GIIRL_CHROMEDRIVER", DRIVERS, "chromedriver")
         parent = _short_directory()
@@ -119,13 +121,14 @@ class Chrome:
         self._service: Service | None = None
         self._connection: RemoteConnection | None = None
         self._reaper = reaper.Reaper(self.directory)
+        self._server = urlsplit(base_url).hostname  # None unless a server has the pages
         try:
             session = self._launch(binary, driver, headless, no_sandbox, timeout_s)
             self.debugger_address = str(session.capabilities["goog:chromeOptions"]["debuggerAddress"])
             self.first_target = str(session.current_window_handle)
             hub = self.directory / "hub.html"
             hub.write_text("<!DOCTYPE html>", encoding="utf-8")
-            self.hub_url = hub.as_uri()
+            self.hub_url = base_url if self._server else hub.as_uri()
         except OSError as error:
             self.end()
             raise LaunchFailed(f"Chrome cannot use its folder {self.directory}: {error.strerror}") from error
@@ -175,6 +178,8 @@ class Chrome:
         flags = [*FLAGS, f"--user-data-dir={self.directory}/profile"]
         if headless:
             flags.append("--headless=new")
+        if self._server:
+            flags.append(f"{NO_NETWORK}, EXCLUDE {self._server}")  # of a flag that is given twice the last one holds
         if os.geteuid() == 0 if no_sandbox is None else no_sandbox:
             flags.append("--no-sandbox")  # Chrome refuses to run as root with its sandbox
         if not Path("/dev/shm").is_dir() or shutil.disk_usage("/dev/shm").free < SMALL_SHM_BYTES:
