@@ -9,6 +9,8 @@ import pytest
 from rich.console import Console
 from rich.table import Table
 
+from giirl.analysis import goal_swap
+from giirl.report import inspector
 from giirl.run.demonstrations import make
 from giirl.run.evaluate import evaluate, result_table
 from giirl.run.experts import experts_table, measure
@@ -16,7 +18,7 @@ from giirl.run.serial import SerialRuntime
 from giirl.statistics import Score
 from giirl_core.metrics import Metrics
 from giirl_core.nets.parameters import seal_net
-from giirl_core.nets.reward import build_policy
+from giirl_core.nets.reward import build_policy, build_reward
 from giirl_core.progress import Display
 from giirl_core.types import EpisodeSpec
 from tests.actors.faulty_farm import FaultyFarm
@@ -103,6 +105,30 @@ def test_a_training_whose_pages_all_break_ends_with_the_reason(tmp_path: Path) -
     settings = config(tmp_path, "tasks=['click-test']", "rollout_batch=1")
     with pytest.raises(RuntimeError, match="no episode of 1 of each task could be played"):
         SerialRuntime(settings, Metrics(), None).take(1)
+
+
+def test_a_page_that_breaks_in_a_report_has_no_outcome(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inspector, "open_browser", lambda *_, **__: FaultyFarm(tabs=1, lost=lambda spec: True))
+    settings = config(tmp_path, "tasks=['click-test']", "step_limit=1")
+    with inspector.Inspector(settings, seal_net(build_policy(settings), 0), None, Metrics()) as looks:
+        (strip,) = looks.strips("click-test", 1)
+    assert (strip.error, strip.outcome) == ("page_hung", None)
+
+
+def test_a_page_that_does_not_open_in_a_report_or_a_goal_swap_is_an_error_with_its_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (inspector, goal_swap):
+        monkeypatch.setattr(module, "open_browser", lambda *_, **__: FaultyFarm(tabs=2, closed=lambda spec: True))
+    settings = config(tmp_path, "tasks=['click-button']")
+    with (
+        inspector.Inspector(settings, seal_net(build_policy(settings), 0), None, Metrics()) as looks,
+        pytest.raises(RuntimeError, match="click-button does not open"),
+    ):
+        next(looks.strips("click-button", 1))
+    reward = seal_net(build_reward(settings).net, 0)
+    with pytest.raises(RuntimeError, match="click-button does not open"):
+        goal_swap.goal_swap(settings, reward, "click-button", 4, Metrics(), Display())
 
 
 def test_a_score_without_episodes_has_no_rate() -> None:
