@@ -127,7 +127,7 @@ class ChromeFarm:
             results[tab] = replace(results[tab], observation=observation)
         return results
 
-    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
+    def screenshot(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
         """PNG of a part of a tab: left, top, width, height in CSS px, with `scale` pixels per CSS px.
 
         Returns b"" for a tab that does not answer; its episode is reported as lost by the next step.
@@ -144,7 +144,7 @@ class ChromeFarm:
 
     def screenshots(self, tabs: Iterable[int], width: int, height: int) -> dict[int, NDArray[np.uint8]]:
         """[height, width, 3] RGB of each tab's upper left corner, taken one by one; black for a tab without picture."""
-        return {tab: pixels(self.picture(tab, (0, 0, width, height)), width, height) for tab in tabs}
+        return {tab: pixels(self.screenshot(tab, (0, 0, width, height)), width, height) for tab in tabs}
 
     def close(self) -> None:
         self._closed = True

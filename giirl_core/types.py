@@ -198,7 +198,7 @@ class Browser(Protocol):
     """K browser tabs, each with one episode at a time. `reset` opens episodes and `step` acts, in many tabs at once.
 
     Keys are tab numbers from 0 to `tabs` - 1. An episode whose page does not open is void: its observation is missing,
-    and `unopened` says why until the next call. `picture` returns a PNG of an area (left, top, width, height in CSS
+    and `unopened` says why until the next call. `screenshot` returns a PNG of an area (left, top, width, height in CSS
     px), or b"" from a browser without screenshots. The loop of an actor:
 
         observations = browser.reset({tab: next_episode() for tab in range(browser.tabs)})
@@ -216,7 +216,7 @@ class Browser(Protocol):
 
     def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]: ...
 
-    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes: ...
+    def screenshot(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes: ...
 
     def close(self) -> None: ...
 

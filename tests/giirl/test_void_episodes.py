@@ -17,7 +17,7 @@ from giirl.run.experts import experts_table, measure
 from giirl.run.serial import SerialRuntime
 from giirl.statistics import Score
 from giirl_core.metrics import Metrics
-from giirl_core.nets.parameters import seal_net
+from giirl_core.nets.parameters import serialise_net
 from giirl_core.nets.reward import build_policy, build_reward
 from giirl_core.progress import Display
 from giirl_core.types import EpisodeSpec
@@ -51,7 +51,7 @@ def text(table: Table) -> str:
 
 def evaluated(path: Path, pages: int) -> dict[str, Any]:
     settings = config(path, "tasks=['click-test']", f"evaluate.episodes={pages}", "evaluate.random_episodes=3")
-    row: dict[str, Any] = evaluate(settings, seal_net(build_policy(settings), 0), Metrics(), Display())["click-test"]
+    row: dict[str, Any] = evaluate(settings, serialise_net(build_policy(settings), 0), Metrics(), Display())["click-test"]
     return row
 
 
@@ -110,7 +110,7 @@ def test_a_training_whose_pages_all_break_ends_with_the_reason(tmp_path: Path) -
 def test_a_page_that_breaks_in_a_report_has_no_outcome(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inspector, "open_browser", lambda *_, **__: FaultyFarm(tabs=1, lost=lambda spec: True))
     settings = config(tmp_path, "tasks=['click-test']", "step_limit=1")
-    with inspector.Inspector(settings, seal_net(build_policy(settings), 0), None, Metrics()) as looks:
+    with inspector.Inspector(settings, serialise_net(build_policy(settings), 0), None, Metrics()) as looks:
         (strip,) = looks.strips("click-test", 1)
     assert (strip.error, strip.outcome) == ("page_hung", None)
 
@@ -122,11 +122,11 @@ def test_a_page_that_does_not_open_in_a_report_or_a_goal_swap_is_an_error_with_i
         monkeypatch.setattr(module, "open_browser", lambda *_, **__: FaultyFarm(tabs=2, closed=lambda spec: True))
     settings = config(tmp_path, "tasks=['click-button']")
     with (
-        inspector.Inspector(settings, seal_net(build_policy(settings), 0), None, Metrics()) as looks,
+        inspector.Inspector(settings, serialise_net(build_policy(settings), 0), None, Metrics()) as looks,
         pytest.raises(RuntimeError, match="click-button does not open"),
     ):
         next(looks.strips("click-button", 1))
-    reward = seal_net(build_reward(settings).net, 0)
+    reward = serialise_net(build_reward(settings).net, 0)
     with pytest.raises(RuntimeError, match="click-button does not open"):
         goal_swap.goal_swap(settings, reward, "click-button", 4, Metrics(), Display())
 
