@@ -189,9 +189,7 @@ class StepResult:
     observation: Observation | None  # None only when no episode follows
     lost: str = ""  # why the infrastructure aborted the episode, "" when it did not
     reason: str = ""  # the page's explanation of the reward, "" when it gives none
-    scaled_reward: float | None = (
-        None  # raw_reward scaled by the time that was left; None unless pages run in real time
-    )
+    scaled_reward: float | None = None  # raw_reward scaled by the time that was left; None in virtual time
 
 
 class Browser(Protocol):
