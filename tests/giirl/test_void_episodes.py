@@ -51,7 +51,9 @@ def text(table: Table) -> str:
 
 def evaluated(path: Path, pages: int) -> dict[str, Any]:
     settings = config(path, "tasks=['click-test']", f"evaluate.episodes={pages}", "evaluate.random_episodes=3")
-    row: dict[str, Any] = evaluate(settings, serialise_net(build_policy(settings), 0), Metrics(), Display())["click-test"]
+    row: dict[str, Any] = evaluate(settings, serialise_net(build_policy(settings), 0), Metrics(), Display())[
+        "click-test"
+    ]
     return row
 
 
