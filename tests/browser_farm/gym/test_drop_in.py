@@ -6,14 +6,17 @@ import functools
 import threading
 from collections.abc import Iterator
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import Any, SupportsIndex
 
 import numpy as np
 import pytest
 
+from browser_farm.farm import ChromeFarm
 from browser_farm.gym.env import MiniWoB
 from browser_farm.gym.vector_env import MiniWoBVector
 from browser_farm.tasks import pages_directory
+from giirl_core.types import Command, EpisodeSpec, Verb
 
 pytestmark = pytest.mark.chrome
 
@@ -189,6 +192,26 @@ def test_pages_can_come_from_another_folder_and_from_a_server(env: MiniWoB) -> N
     finally:
         server.shutdown()
         server.server_close()
+
+
+def test_a_page_that_never_opens_costs_its_own_episode_only(tmp_path: Path) -> None:
+    for folder in ("core", "common"):
+        (tmp_path / folder).symlink_to(pages_directory() / folder)
+    (tmp_path / "miniwob").mkdir()
+    page = (pages_directory() / "miniwob/click-test-2.html").read_text()
+    (tmp_path / "miniwob/click-test-2.html").write_text(page)
+    broken = page.replace("var genProblem = function() {", "var genProblem = function() { throw new Error('broken');")
+    assert broken != page
+    (tmp_path / "miniwob/click-test.html").write_text(broken)
+    closed, sound = (EpisodeSpec(task=task, seed=3) for task in ("click-test", "click-test-2"))
+    with ChromeFarm(tabs=2, base_url=(tmp_path / "miniwob").as_uri() + "/") as farm:
+        opened = farm.reset({0: closed, 1: sound})
+        assert list(opened) == [1]
+        assert "click-test with seed 3 does not open after 4 attempts: page_error" in farm.unopened[0]
+        result = farm.step({1: Command(verb=Verb.WAIT, last=True, following=closed)})[1]
+        assert (result.observation, result.lost, list(farm.unopened)) == (None, "", [1])
+        assert list(farm.reset({0: sound, 1: sound})) == [0, 1]
+        assert farm.unopened == {}
 
 
 def test_a_page_is_loaded_anew_every_so_many_episodes() -> None:
