@@ -39,6 +39,7 @@ class SlowBrowser:
     def __init__(self, browser: Browser, delay_s: float) -> None:
         self._browser, self._delay_s = browser, delay_s
         self.tabs = browser.tabs
+        self.unopened = browser.unopened
 
     def reset(self, episodes: Mapping[int, EpisodeSpec]) -> dict[int, Observation]:
         """Open episodes, without a delay."""

@@ -38,7 +38,7 @@ def measure(
             for count in actors:
                 found[str(count)].append(_run(count, delay_s, seed))
                 job.advance(note=f"{count} actors: {found[str(count)][-1]['seconds']} s")
-    means = {
+    means: dict[str, dict[str, float]] = {
         count: {name: round(fmean(run[name] for run in runs), 3) for name in runs[0]} for count, runs in found.items()
     }
     first = means[str(actors[0])]
@@ -68,8 +68,8 @@ def _run(actors: int, delay_s: float, seed: int) -> dict[str, Any]:
                 _end(process)
             if not points:
                 log.seek(0)
-                last = log.read().strip().splitlines()[-1:]
-                raise RuntimeError(f"{actors} actors, seed {seed}: {LEVEL:.0%} was not reached: {last}")
+                words = log.read().strip().splitlines()[-1:]
+                raise RuntimeError(f"{actors} actors, seed {seed}: {LEVEL:.0%} was not reached: {words}")
     first, last = points[0], points[-1]
     seconds = last["seconds"] - first["seconds"]
     return {

@@ -16,7 +16,8 @@ import psutil
 
 from actors.agents import RandomAgent
 from actors.browser import open_browser
-from actors.rollouts import Schedule, play
+from actors.rollouts import play
+from actors.schedule import Schedule
 from benchmarks.pages import load_fixture
 from giirl_core.config import DEFAULT_TASKS, ActorConfig, Config
 from giirl_core.metrics import Metrics

@@ -189,12 +189,14 @@ class StepResult:
     observation: Observation | None  # None only when no episode follows
     lost: str = ""  # why the infrastructure aborted the episode, "" when it did not
     reason: str = ""  # the page's explanation of the reward, "" when it gives none
+    scaled_reward: float | None = None  # raw_reward scaled by the time that was left; None in virtual time
 
 
 class Browser(Protocol):
     """K browser tabs, each with one episode at a time. `reset` opens episodes and `step` acts, in many tabs at once.
 
-    Keys are tab numbers from 0 to `tabs` - 1. `screenshot` returns a PNG of an area (left, top, width, height in CSS
+    Keys are tab numbers from 0 to `tabs` - 1. An episode whose page does not open is void: its observation is missing,
+    and `unopened` says why until the next call. `screenshot` returns a PNG of an area (left, top, width, height in CSS
     px), or b"" from a browser without screenshots. The loop of an actor:
 
         observations = browser.reset({tab: next_episode() for tab in range(browser.tabs)})
@@ -204,6 +206,9 @@ class Browser(Protocol):
     """
 
     tabs: int
+
+    @property
+    def unopened(self) -> Mapping[int, str]: ...
 
     def reset(self, episodes: Mapping[int, EpisodeSpec]) -> dict[int, Observation]: ...
 

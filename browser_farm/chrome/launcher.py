@@ -8,6 +8,7 @@ import shutil
 import tempfile
 import threading
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from selenium import webdriver
 from selenium.common.exceptions import WebDriverException
@@ -32,6 +33,7 @@ CHROMES = ("chromium", "chromium-browser", "google-chrome-stable", "google-chrom
 DRIVERS = ("chromedriver", "chromium.chromedriver")
 SANDBOX_VARIABLE = "GIIRL_CHROME_SANDBOX"
 SMALL_SHM_BYTES = 1 << 29
+NO_NETWORK = "--host-resolver-rules=MAP * ~NOTFOUND"  # for pages
 FLAGS = (
     "--allow-file-access-from-files",  # pages read their own style sheets
     "--disable-background-networking",
@@ -56,7 +58,7 @@ FLAGS = (
     "--enable-features=NetworkServiceInProcess2",
     "--force-color-profile=srgb",
     "--force-device-scale-factor=1",
-    "--host-resolver-rules=MAP * ~NOTFOUND",  # a page has no network
+    NO_NETWORK,
     "--js-flags=--max-semi-space-size=2",  # MB; many pages share a heap, whose young generation would grow otherwise
     "--lang=en-US",
     "--log-level=2",  # errors only
@@ -115,13 +117,13 @@ def uses_sandbox(wanted: Sandbox) -> bool:
 class Chrome:
     """One running Chrome; `end` kills its processes and removes its files.
 
-    `debugger_address` is host:port and `first_target` the tab that Chrome opens at its start. `hub_url` is an empty
-    file:// page, which may script the task pages.
+    `debugger_address` is host:port and `first_target` the tab that Chrome opens at its start. `hub_url` is a page that
+    may script the task pages: an empty file, or `base_url` if a server has them.
 
     Raises CannotLaunch or LaunchFailed, and ValueError for a wrong GIIRL_CHROME_SANDBOX.
     """
 
-    def __init__(self, *, headless: bool, sandbox: Sandbox, timeout_s: float) -> None:
+    def __init__(self, *, headless: bool, sandbox: Sandbox, timeout_s: float, base_url: str = "") -> None:
         with_sandbox = uses_sandbox(sandbox)
         self._binary = find("GIIRL_CHROME", CHROMES, "Chrome")
         self._program = find("GIIRL_CHROMEDRIVER", DRIVERS, "chromedriver")
@@ -134,11 +136,12 @@ class Chrome:
             raise CannotLaunch(f"cannot create a folder for Chrome in {parent}: {error.strerror}; {fix}") from error
         self._driver: Driver | None = None
         self._connection: RemoteConnection | None = None
+        self._server = urlsplit(base_url).hostname  # None unless a server has the pages
         try:
             self._launch(self._options(headless, with_sandbox))
             hub = self.directory / "hub.html"
             hub.write_text("<!DOCTYPE html>", encoding="utf-8")
-            self.hub_url = hub.as_uri()
+            self.hub_url = base_url if self._server else hub.as_uri()
         except OSError as error:
             self.end()
             raise CannotLaunch(f"Chrome cannot use its folder {self.directory}: {error.strerror}") from error
@@ -202,6 +205,8 @@ class Chrome:
         flags = [*FLAGS, f"--user-data-dir={self.directory}/profile"]
         if headless:
             flags.append("--headless=new")
+        if self._server:
+            flags.append(f"{NO_NETWORK}, EXCLUDE {self._server}")  # of a flag that is given twice the last one holds
         if not with_sandbox:
             flags.append("--no-sandbox")
         if not Path("/dev/shm").is_dir() or shutil.disk_usage("/dev/shm").free < SMALL_SHM_BYTES:

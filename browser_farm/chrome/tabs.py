@@ -41,6 +41,7 @@ class Tabs:
         launch_timeout_s: float,
         headless: bool,
         sandbox: Sandbox,
+        base_url: str = "",
     ) -> None:
         self._owner = os.getpid()
         self._count = count
@@ -49,6 +50,7 @@ class Tabs:
         self._launch_timeout_s = launch_timeout_s
         self._headless = headless
         self._sandbox = sandbox
+        self._base_url = base_url
         self._chrome: Chrome | None = None
         self._devtools: DevTools | None = None
         self._hubs: list[Hub] = []
@@ -130,13 +132,17 @@ class Tabs:
         return {tab: reply for tab, reply in replies.items() if isinstance(reply, Failure)}
 
     def screenshot(self, tab: int, box: tuple[float, float, float, float], scale: float) -> bytes | Failure:
-        """PNG of a part of a page. The tab is brought to the front meanwhile, since Chrome draws no other."""
+        """PNG of a part of a page. The tab is brought to the front meanwhile, since Chrome draws no other.
+
+        In real time it stays there, in a window of its own.
+        """
         clip = dict(zip(("x", "y", "width", "height"), box, strict=True)) | {"scale": scale}
         params = {"format": "png", "clip": clip, "optimizeForSpeed": True}
         reply = self._call_all({tab: [("Page.bringToFront", {})]})[tab]
         if not isinstance(reply, Failure):
             reply = self._call_all({tab: [("Page.captureScreenshot", params)]})[tab]
-        self._hide_tabs()
+        if not self._view.real_time:
+            self._hide_tabs()
         if isinstance(reply, Failure):
             return reply
         if not reply.result:
@@ -172,7 +178,12 @@ class Tabs:
 
     def _launch_once(self) -> None:
         self.close()
-        self._chrome = Chrome(headless=self._headless, sandbox=self._sandbox, timeout_s=self._launch_timeout_s)
+        self._chrome = Chrome(
+            headless=self._headless,
+            sandbox=self._sandbox,
+            timeout_s=self._launch_timeout_s,
+            base_url=self._base_url,
+        )
         url = browser_url(self._chrome.debugger_address, timeout_s=self._launch_timeout_s)
         self._devtools = DevTools(url, timeout_s=self._launch_timeout_s, on_event=self._on_event)
         hubs = max(min(self._count, PROCESSES), math.ceil(self._count / MAX_TABS_PER_PROCESS))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -13,6 +14,7 @@ from actors.rollouts import play_pages
 from browser_farm.experts import expert
 from browser_farm.human.recording_files import find_recordings
 from browser_farm.human.recordings import ImportReport, import_recordings
+from giirl.statistics import missing_pages
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.goals import is_held_out
@@ -68,6 +70,10 @@ def make(config: Config, metrics: Metrics, display: Display) -> list[Episode]:
         display.job("making demonstrations", pages * len(config.tasks)) as job,
     ):
         played = play_pages(config, browser, ExpertAgent(expert), Purpose.DEMONSTRATE, pages, metrics, job=job)
+    counts = Counter(episode.trajectory.task for episode in played)
+    rows = {task: {"episodes": counts[task], "missing": pages - counts[task]} for task in config.tasks}
+    if missing := missing_pages(rows):
+        display.say(missing)
     won = [episode for episode in played if episode.outcome.success]
     return sorted(won, key=lambda episode: (episode.trajectory.task, episode.trajectory.seed))
 

@@ -11,7 +11,7 @@ from rich.table import Table
 from actors.agents import PolicyAgent, RandomAgent
 from actors.browser import open_browser
 from actors.rollouts import play_pages
-from giirl.statistics import Score
+from giirl.statistics import Score, missing_pages, percent
 from giirl_core.config import Config
 from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
@@ -28,7 +28,8 @@ THESIS = {"click-test": 1.00, "click-test-2": 1.00, "click-button": 0.99, "enter
 def evaluate(config: Config, policy: Weights, metrics: Metrics, display: Display) -> dict[str, Any]:
     """Success of the greedy policy and of the random baseline: the `tasks` of a result, one row per task.
 
-    The pages have seeds that training, demonstrations and tuning never use.
+    The pages have seeds that training, demonstrations and tuning never use. An episode that a broken browser or page
+    has ended is played again; pages on which that happens each time are `missing`.
     """
     net = build_policy(config)
     load_net(net, policy)
@@ -45,12 +46,15 @@ def evaluate(config: Config, policy: Weights, metrics: Metrics, display: Display
 def _row(config: Config, task: str, played: Sequence[Episode], at_random: Sequence[Episode]) -> dict[str, Any]:
     """Success on all pages; if goals were held out of training, also on those goals and on the others."""
     trained, held_out = (_score(config, task, played, held_out) for held_out in (False, True))
-    trained = Score(episodes=config.evaluate.episodes - held_out.episodes, successes=trained.successes)
-    random = Score(
-        episodes=config.evaluate.random_episodes,
-        successes=sum(episode.outcome.success for episode in at_random if episode.trajectory.task == task),
-    )
-    row = {**(trained + held_out).row(), "random": random.success, "random_episodes": random.episodes}
+    own = trained + held_out
+    won = [episode.outcome.success for episode in at_random if episode.trajectory.task == task]
+    random = Score(episodes=len(won), successes=sum(won))
+    row = {
+        **own.row(),
+        "missing": config.evaluate.episodes - own.episodes,
+        "random": random.success,
+        "random_episodes": random.episodes,
+    }
     if trained.episodes and held_out.episodes:
         row |= {"trained_goals": trained.row(), "held_out_goals": held_out.row()}
     return row
@@ -68,7 +72,10 @@ def _score(config: Config, task: str, played: Sequence[Episode], held_out: bool)
 
 def result_table(result: dict[str, Any]) -> Table:
     """For each task: success of the random baseline, success with its interval, and the figure of the thesis."""
-    table = Table(title=f"greedy success on fresh pages, {result['algorithm']}, seed {result['seed']}")
+    table = Table(
+        title=f"greedy success on fresh pages, {result['algorithm']}, seed {result['seed']}",
+        caption=missing_pages(result["tasks"]) or None,
+    )
     for name, side in (("task", "left"), ("random", "right"), ("success", "right"), ("95 %", "right")):
         table.add_column(name, justify=side)  # type: ignore[arg-type]
     table.add_column("episodes", justify="right")
@@ -77,8 +84,8 @@ def result_table(result: dict[str, Any]) -> Table:
         thesis = f"{100 * THESIS[task]:.0f}" if task in THESIS else "-"
         table.add_row(
             task,
-            f"{100 * row['random']:.1f}",
-            f"{100 * row['success']:.1f}",
+            percent(row["random"]),
+            percent(row["success"]),
             f"{100 * row['low']:.1f} - {100 * row['high']:.1f}",
             str(row["episodes"]),
             thesis,

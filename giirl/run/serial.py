@@ -57,6 +57,9 @@ class SerialRuntime:
         finished = play_pages(
             self._config, self._browser, self._agent, Purpose.TRAIN, pages, self._metrics, first=first
         )
+        if not finished:
+            reasons = "; ".join(self._browser.unopened.values()) or "the browser broke in each of them"
+            raise RuntimeError(f"no episode of {pages} of each task could be played: {reasons}")
         rewards = self._reward.score([episode.trajectory for episode in finished])
         return [
             replace(episode, trajectory=episode.trajectory.with_rewards(scored, self._reward_version))

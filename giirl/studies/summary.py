@@ -70,10 +70,11 @@ def pooled(records: Sequence[dict[str, Any]], group: str = "") -> dict[str, dict
         random = sum((_score(r["random_episodes"], r["random"]) for r in rows), Score(episodes=0, successes=0))
         tasks[task] = {
             **score.row(digits=5),
-            "success": round(score.success, 5),
-            "random": round(random.success, 5),
+            "missing": sum(row.get("missing", 0) for row in rows),
+            "success": None if score.success is None else round(score.success, 5),
+            "random": None if random.success is None else round(random.success, 5),
             "random_episodes": random.episodes,
-            "worst_seed": min(part["success"] for part in parts),
+            "worst_seed": min((part["success"] for part in parts if part["success"] is not None), default=None),
         }
     return tasks
 
@@ -152,5 +153,5 @@ def _thinned(points: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def _score(episodes: int, success: float) -> Score:
-    return Score(episodes=episodes, successes=round(episodes * success))
+def _score(episodes: int, success: float | None) -> Score:
+    return Score(episodes=episodes, successes=round(episodes * (success or 0.0)))

@@ -11,7 +11,8 @@ import torch
 from numpy.typing import NDArray
 
 from actors.agents import ExpertAgent, PolicyAgent
-from actors.rollouts import Schedule, play
+from actors.rollouts import play
+from actors.schedule import Schedule
 from browser_farm.experts import expert
 from browser_farm.fake import TASKS, FakeFarm
 from giirl_core.config import NetConfig
