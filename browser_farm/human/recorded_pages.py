@@ -17,6 +17,9 @@ HIDDEN_TAGS = frozenset({"br", "script", "style", "head", "link", "meta", "title
 HIDDEN_IDS = frozenset({"query", "reward-display", "sync-task-cover", "click-canvas", "attention-canvas"})
 UNWRAPPED_IDS = frozenset({"wrap", "mturk_form"})  # left out, but their children are rows
 TEXT_TAG = "t"
+CONTROL_TAGS = ("button", "input", "textarea", "select")  # their colour is that of every control
+CLEAR = frozenset({"", "transparent", "rgba(0, 0, 0, 0)"})
+SHAPES = {"polygon": "triangle", "rect": "rectangle", "circle": "circle"}  # recorded pages have no other polygons
 VALUE_TAGS = ("input", "textarea")  # prefixes of tags that show their value instead of text
 
 
@@ -30,6 +33,7 @@ class Node:
     text: str  # white space collapsed, "" except on leaves
     value: str  # value of a field; "checked" or "" for a checkbox or radio button
     classes: str
+    colour: str  # of the background, "" where it shows none
     box: tuple[float, float, float, float]  # left, top, width, height in CSS px
     focused: bool
     target: bool  # target of the recorded event
@@ -52,6 +56,12 @@ class Screen:
             text=tuple(node.text for node in nodes),
             value=tuple(node.value for node in nodes),
             classes=tuple(node.classes for node in nodes),
+            attributes=tuple(node.id for node in nodes),
+            colour=tuple(
+                node.colour if self.is_leaf(row) and not node.text and not node.tag.startswith(CONTROL_TAGS) else ""
+                for row, node in enumerate(nodes)
+            ),
+            shape=tuple(SHAPES.get(node.tag, "") for node in nodes),
             ref=np.array([node.ref for node in nodes], dtype=np.int32),
             parent=np.array(self.parents, dtype=np.int16),
             box=np.array([node.box for node in nodes], dtype=np.float32).reshape(len(nodes), 4),
@@ -135,6 +145,7 @@ def parse_node(raw: object, where: str, depth: int = 0) -> Node:
         ref=ref,
         text="" if children or tag.lower().startswith(VALUE_TAGS) else " ".join(_text(raw, "text", where).split()),
         value=("checked" if value else "") if isinstance(value, bool) else value,
+        colour=colour if (colour := str(raw.get("bgColor") or "")) not in CLEAR else "",
         classes="" if isinstance(raw.get("classes"), dict) else _text(raw, "classes", where),  # SVG elements have {}
         box=(
             read_number(raw, "left", where),

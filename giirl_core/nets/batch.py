@@ -16,10 +16,12 @@ from giirl_core.nets.features import (
     CLICKABLE,
     ELEMENT_FLAGS,
     ELEMENT_IDS,
+    ELEMENT_KIND,
     ELEMENT_OVERLAP,
     ELEMENT_WORDS,
     MATCH_KINDS,
     OPEN,
+    RELATIONS,
     TAG,
     TOKEN_FLAGS,
     TOKEN_IDS,
@@ -41,6 +43,7 @@ class Block:
 
     pages: Tensor  # [b] int64 which pages of the batch
     size: int
+    relations: Tensor  # [b, size, size] int64, RELATIONS where a column is padding
     mask: Tensor | None  # [b, size] bool, True for elements; None where no page is smaller
     token_row: Tensor  # [b, l] int64, as in the batch, to the longest goal of the block
     token_mask: Tensor  # [b, l] bool
@@ -67,13 +70,13 @@ class Batch:
     token_row: Tensor  # [B, L] int64, the flat row of each word, beyond the last that of zeros
     token_mask: Tensor  # [B, L] bool, True for words
     element_words: Tensor  # [N, WORDS] int64
+    element_kind: Tensor  # [N, KIND_WORDS] int64
     element_tag: Tensor  # [N] int64
     element_classes: Tensor  # [N, CLASS_SLOTS] int64
     element_flags: Tensor  # [N, ELEMENT_FLAGS]
     element_page: Tensor  # [N] int64, the page that a row belongs to
-    matched: Tensor  # [R] int64, the flat rows of elements that match some word
-    match_row: Tensor  # [K] int64, MATCH_KINDS * place among the matched + kind
-    match_token: Tensor  # [K] int64, a flat row
+    match_row: Tensor  # [K] int64, the flat row of the element
+    match_token: Tensor  # [K] int64, MATCH_KINDS * flat row of the token + kind
     match_weight: Tensor  # [K]
     row: Tensor  # [B, E] int64, the flat row of each element
     clickable: Tensor  # [B, E] bool
@@ -150,14 +153,13 @@ def collate(rows: Sequence[Features]) -> Batch:
     column = np.arange(int(lengths.max()))
     token_row = first_token[:, None] + np.minimum(column, lengths[:, None])
     token_mask = column < lengths[:, None]
-    blocks, first_row, count = _blocks(sizes, lengths, token_row, token_mask)
+    blocks, first_row, count = _blocks(sizes, lengths, token_row, token_mask, [row.relations for row in rows])
     at = np.repeat(first_row, sizes) + _ranges(sizes)
     ids = _scatter([row.element_ids for row in rows], at, count, ELEMENT_IDS)
     page = np.zeros(count, dtype=np.int64)
     page[at] = np.repeat(np.arange(len(rows)), sizes)
     found = np.array([len(row.match_ids) for row in rows])
     element, kind, token = np.concatenate([row.match_ids for row in rows]).astype(np.int64).T
-    matched, place = np.unique(np.repeat(first_row, found) + element, return_inverse=True)
     row = np.minimum(first_row[:, None] + np.arange(max(1, int(sizes.max()))), count - 1)
     real = np.arange(row.shape[1]) < sizes[:, None]
     arrays: dict[str, NDArray[Any]] = {
@@ -169,13 +171,13 @@ def collate(rows: Sequence[Features]) -> Batch:
         "token_row": token_row,
         "token_mask": token_mask,
         "element_words": ids[:, ELEMENT_WORDS].astype(np.int64),
+        "element_kind": ids[:, ELEMENT_KIND].astype(np.int64),
         "element_tag": ids[:, TAG].astype(np.int64),
         "element_classes": ids[:, CLASS].astype(np.int64),
         "element_flags": _scatter([row.element_flags for row in rows], at, count, ELEMENT_FLAGS),
         "element_page": page,
-        "matched": matched,
-        "match_row": place * MATCH_KINDS + kind,
-        "match_token": np.repeat(first_token, found) + token,
+        "match_row": np.repeat(first_row, found) + element,
+        "match_token": (np.repeat(first_token, found) + token) * MATCH_KINDS + kind,
         "match_weight": np.concatenate([row.match_weights for row in rows]),
         "row": row,
         "clickable": (ids[:, CLICKABLE] > 0)[row] & real,
@@ -185,7 +187,11 @@ def collate(rows: Sequence[Features]) -> Batch:
 
 
 def _blocks(
-    sizes: NDArray[np.int64], lengths: NDArray[np.int64], token_row: NDArray[np.int64], token_mask: NDArray[np.bool_]
+    sizes: NDArray[np.int64],
+    lengths: NDArray[np.int64],
+    token_row: NDArray[np.int64],
+    token_mask: NDArray[np.bool_],
+    related: Sequence[NDArray[np.uint8]],
 ) -> tuple[tuple[Block, ...], NDArray[np.int64], int]:
     """Blocks for pages of these sizes, the first flat row of each page, and how many rows there are."""
     order = np.argsort(-sizes, kind="stable")
@@ -201,9 +207,13 @@ def _blocks(
         first_row[pages] = row + np.arange(len(pages)) * size
         mask = np.arange(size) < sizes[pages][:, None]
         longest = int(lengths[pages].max())
+        relations = np.full((len(pages), size, size), RELATIONS, dtype=np.int64)
+        for place, which in enumerate(pages.tolist()):
+            relations[place, : sizes[which], : sizes[which]] = related[which]
         block = Block(
             pages=torch.from_numpy(pages),
             size=size,
+            relations=torch.from_numpy(relations),
             mask=None if mask.all() else torch.from_numpy(mask),
             token_row=torch.from_numpy(token_row[pages, :longest]),
             token_mask=torch.from_numpy(token_mask[pages, :longest]),

@@ -16,6 +16,7 @@ from giirl_core.nets.features import (
     HEIGHT_PX,
     MATCH_KINDS,
     POSITION,
+    RELATIONS,
     TAGS,
     TOKEN_FLAGS,
     WIDTH_PX,
@@ -72,7 +73,8 @@ class Encoder(nn.Module):
         self.token_conv = nn.ModuleList(nn.Conv1d(width, width, 3, padding=1) for _ in range(2))
         self.tag = nn.Embedding(TAGS, 16)
         self.classes = nn.Embedding(CLASSES, 8, padding_idx=0)
-        self.element_in = nn.Linear(words + 16 + 8 + ELEMENT_FLAGS + MATCH_KINDS * width, width)
+        self.element_in = nn.Linear(2 * words + 16 + 8 + ELEMENT_FLAGS, width)
+        self.repeated = nn.Linear(width, MATCH_KINDS * width, bias=False)
         self.align = nn.Linear(width, width)
         self.aligned = nn.Linear(2 * width, width)
         self.neighbours = Attention(width)
@@ -98,14 +100,12 @@ class Encoder(nn.Module):
 
     def _read_page(self, batch: Batch, tokens: Tensor) -> Tensor:
         """[N, D]: each element with the words of the goal it repeats, the ones it resembles, and its neighbours."""
-        read = (batch.element_words != PADDING).sum(1, keepdim=True).clamp(min=1)
-        text = functional.embedding_bag(batch.element_words, self.table, mode="sum") / read
+        text, kind = self._mean_words(batch.element_words), self._mean_words(batch.element_kind)
         classes = functional.embedding_bag(batch.element_classes, self.classes.weight, mode="sum", padding_idx=0)
-        own = torch.cat([text, self.tag(batch.element_tag), classes, batch.element_flags], dim=1)
-        weight = self.element_in.weight
-        hidden = functional.linear(own, weight[:, : own.shape[1]], self.element_in.bias)
-        repeated = functional.linear(self._repeated(batch, tokens), weight[:, own.shape[1] :])
-        hidden = torch.relu(hidden.index_add(0, batch.matched, repeated))  # element_in of both, end to end
+        own = torch.cat([text, kind, self.tag(batch.element_tag), classes, batch.element_flags], dim=1)
+        said = self.repeated(tokens).view(-1, tokens.shape[1])  # each word as each kind of match reads it
+        said = functional.embedding(batch.match_token, said) * batch.match_weight.unsqueeze(1)
+        hidden = torch.relu(self.element_in(own).index_add(0, batch.match_row, said))
         alignment = self._alignment(batch, hidden, tokens)
         hidden = hidden + torch.relu(self.aligned(torch.cat([hidden, alignment], dim=1)))
         out: Tensor = hidden + self.neighbours(hidden, batch) if self.config.element_attention else hidden
@@ -115,12 +115,11 @@ class Encoder(nn.Module):
             out = out + torch.relu(self.beside(torch.cat([part.flatten(0, 1) for part in near])))
         return out
 
-    def _repeated(self, batch: Batch, tokens: Tensor) -> Tensor:
-        """[R, MATCH_KINDS * D]: for each kind of match the mean of the goal's words that a matched element repeats."""
-        count, width = len(batch.matched), tokens.shape[1]
-        words = functional.embedding(batch.match_token, tokens) * batch.match_weight.unsqueeze(1)
-        blank = torch.zeros(count * MATCH_KINDS, width, device=tokens.device)
-        return blank.index_add(0, batch.match_row, words).view(count, MATCH_KINDS * width)
+    def _mean_words(self, rows: Tensor) -> Tensor:
+        """[N, D] the mean of the word vectors in each row of [N, W]."""
+        read = (rows != PADDING).sum(1, keepdim=True).clamp(min=1)
+        out: Tensor = functional.embedding_bag(rows, self.table, mode="sum") / read
+        return out
 
     def _alignment(self, batch: Batch, hidden: Tensor, tokens: Tensor) -> Tensor:
         """[N, D]: the goal's words, each as much as an element resembles it."""
@@ -183,13 +182,15 @@ class Attention(nn.Module):
         self.heads = heads
         self.project = nn.Linear(width, 3 * width)
         self.out = nn.Linear(width, width)
+        self.bias = nn.Parameter(torch.zeros(RELATIONS, heads))
 
     def forward(self, x: Tensor, batch: Batch) -> Tensor:
         """[N, D] from the flat [N, D]."""
         mixed = []
+        bias = torch.cat([self.bias, self.bias.new_full((1, self.heads), MASKED_LOGIT)])
         for block, part in zip(batch.blocks, batch.by_block(self.project(x)), strict=True):
             q, k, v = part.unflatten(2, (3, self.heads, -1)).permute(2, 0, 3, 1, 4).unbind(0)
-            mask = None if block.mask is None else attended(block.mask)[:, None, None, :]
+            mask = functional.embedding(block.relations, bias).permute(0, 3, 1, 2)
             heads = functional.scaled_dot_product_attention(q, k, v, attn_mask=mask)
             mixed.append(heads.transpose(1, 2).flatten(2).flatten(0, 1))
         return torch.relu(self.out(torch.cat(mixed)))

@@ -5,37 +5,67 @@ Strings are cut into words once and cached; what is left for each step is compar
 
 from __future__ import annotations
 
-import functools
-import zlib
-from collections.abc import Iterator, Sequence
+import os
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from giirl_core.nets.language import PADDING, Vectors
-from giirl_core.types import TOKEN, Goal, Page
+from giirl_core.nets.reading import (
+    CLASS_SLOTS,
+    CLASSES,
+    GOAL_NUMBERS,
+    KIND_WORDS,
+    TAGS,
+    TOKEN_FLAGS,
+    WORDS,
+    Floats,
+    GoalText,
+    Hashes,
+    Ids,
+    Text,
+    read_goal,
+    read_kind,
+    read_text,
+    runs,
+    units_of,
+)
+from giirl_core.nets.relations import NONE, RELATIONS, structure_of
+from giirl_core.types import Goal, Page
 
-WORDS = 8  # words of one element that are read: its text, then its value
-TAGS = 128  # hash buckets of tag names
-CLASSES = 64  # hash buckets of class names, 0 for none
-CLASS_SLOTS = 3
+__all__ = ["CLASSES", "RELATIONS", "TAGS", "TOKEN_FLAGS", "WORDS", "Features", "featurise"]
+
 WIDTH_PX, HEIGHT_PX = 160.0, 210.0
+OFF = frozenset(os.environ.get("READER_OFF", "").split(","))  # trials: what is switched off
 
 # Columns of Features.element_ids.
-ELEMENT_WORDS, TAG, CLASS = slice(0, WORDS), WORDS, slice(WORDS + 1, WORDS + 1 + CLASS_SLOTS)
-CLICKABLE, TYPABLE = WORDS + 1 + CLASS_SLOTS, WORDS + 2 + CLASS_SLOTS
-ELEMENT_IDS = WORDS + 3 + CLASS_SLOTS
+ELEMENT_WORDS = slice(0, WORDS)
+ELEMENT_KIND = slice(WORDS, WORDS + KIND_WORDS)
+TAG = WORDS + KIND_WORDS
+CLASS = slice(TAG + 1, TAG + 1 + CLASS_SLOTS)
+CLICKABLE, TYPABLE = TAG + 1 + CLASS_SLOTS, TAG + 2 + CLASS_SLOTS
+ELEMENT_IDS = TAG + 3 + CLASS_SLOTS
+# Kinds of match between an element and the goal.
+TEXT_RUN, TEXT_WORD, VALUE_RUN, KIND_WORD, ATTRIBUTE_RUN, LABEL_RUN, LABEL_WORD, GROUP_RUN, SIMILAR = range(9)
+MATCH_KINDS = 9
+ALIKE = 0.5  # cosine of words that count as similar
 # Columns of Features.element_flags: the box as shares of a page, state, then agreement of element and goal.
-POSITION, ELEMENT_OVERLAP, ELEMENT_FLAGS = slice(0, 4), slice(10, 16), 16
+POSITION = slice(0, 4)
+STATE = 4  # focused, tampered, leaf, typable, text, value, checked
+COLOUR = 11  # red, green, blue, any
+RANK = 15  # 1st .. 5th, last, only, count
+SIZE = 23  # logarithms of width and height against the largest
+ACTED = 25  # steps since it was acted on: last, before; steps so far
+ELEMENT_OVERLAP = slice(28, 28 + 2 * MATCH_KINDS + 9)  # each kind, each kind in quotes; then others
+FOLDED, SHARE, PREFIX, LIKENESS, BEST, LABEL_LIKENESS, GROUP_QUOTED, RANK_IS_NUMBER, WHOLE = (
+    28 + 2 * MATCH_KINDS + i for i in range(9)
+)
+NUMBERS = ELEMENT_OVERLAP.stop  # any; then for each number of the goal: equal, sign, distance
+ELEMENT_FLAGS = NUMBERS + 1 + 3 * GOAL_NUMBERS
 # Columns of Features.token_ids and Features.token_flags.
 WORD, OPEN, TOKEN_IDS = 0, 1, 2
-TOKEN_OVERLAP, TOKEN_FLAGS = slice(3, 5), 6
-MATCH_KINDS = 3  # the whole text, any word, or the value of an element repeats words of the goal
-
-Ids = NDArray[np.int32]
-Floats = NDArray[np.float32]
-Hashes = NDArray[np.int64]
+TOKEN_OVERLAP = slice(3, 11)  # 5 is whether it is quoted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,130 +76,182 @@ class Features:
     token_flags: Floats  # [L, TOKEN_FLAGS]
     element_ids: Ids  # [E, ELEMENT_IDS] rows of the word vectors, tag, classes, clickable, typable
     element_flags: Floats  # [E, ELEMENT_FLAGS]
+    relations: NDArray[np.uint8]  # [E, E] what each column is to a row
     match_ids: Ids  # [K, 3] element, kind, token: where the goal says the same as an element
     match_weights: Floats  # [K] sum to 1 over the tokens of one element and kind
 
 
-@dataclass(frozen=True, slots=True)
-class _Text:
-    """A string cut into words; W of them at most are read."""
-
-    rows: Ids  # [WORDS] rows of the word vectors, PADDING beyond the text
-    exact: tuple[str, ...]  # [W] words as written
-    folded: tuple[str, ...]  # [W] in lower case
-    read: Hashes  # [WORDS] of the first of these, 0 beyond the text
-
-
-@dataclass(frozen=True, slots=True)
-class _GoalText:
-    rows: Ids  # [L]
-    exact: tuple[str, ...]  # [L]
-    folded: tuple[str, ...]  # [L] in lower case
-    hashes: Hashes  # [L] of these
-    first: NDArray[np.int64]  # where each different one stands first
-    quoted: NDArray[np.bool_]  # [L] inside a pair of double quotes
-    flags: Floats  # [L, TOKEN_FLAGS], overlap not filled in
-
-
-@functools.lru_cache(maxsize=1 << 16)
-def _read_text(text: str, vectors: Vectors) -> _Text:
-    words = tuple(TOKEN.findall(text))
-    folded = tuple(word.lower() for word in words)
-    rows = np.full(WORDS, PADDING, dtype=np.int32)
-    rows[: len(words)] = [vectors.row(word) for word in words[:WORDS]]
-    read = np.zeros(WORDS, dtype=np.int64)
-    read[: len(words)] = _hashes(folded[:WORDS])
-    return _Text(rows=rows, exact=words, folded=folded, read=read)
-
-
-@functools.lru_cache(maxsize=1 << 12)
-def _read_goal(goal: Goal, vectors: Vectors) -> _GoalText:
-    tokens = goal.tokens
-    quote = np.array([token == '"' for token in tokens])
-    quoted = (np.cumsum(quote) % 2 == 1) & ~quote
-    flags = np.zeros((len(tokens), TOKEN_FLAGS), dtype=np.float32)
-    flags[:, 0], flags[:, 5] = quote, quoted
-    flags[:, 1] = [not token.isalnum() for token in tokens]
-    flags[:, 2] = [token[:1].isupper() for token in tokens]
-    folded = tuple(token.lower() for token in tokens)
-    hashes = _hashes(folded)
-    return _GoalText(
-        rows=np.array([vectors.row(token) for token in tokens], dtype=np.int32),
-        exact=tokens,
-        folded=folded,
-        hashes=hashes,
-        first=np.unique(hashes, return_index=True)[1],
-        quoted=quoted,
-        flags=flags,
-    )
-
-
-@functools.lru_cache(maxsize=1 << 12)
-def _tag_id(tag: str) -> int:
-    return zlib.crc32(tag.encode()) % TAGS
-
-
-@functools.lru_cache(maxsize=1 << 14)
-def _class_ids(classes: str) -> tuple[int, ...]:
-    ids = [1 + zlib.crc32(name.encode()) % (CLASSES - 1) for name in classes.split()[:CLASS_SLOTS]]
-    return (*ids, *[0] * (CLASS_SLOTS - len(ids)))
-
-
-def _hashes(words: Sequence[str]) -> Hashes:
-    """Python's own 64-bit hashes: equal for equal words, in this process alone."""
-    return np.array([hash(word) for word in words], dtype=np.int64)
-
-
 def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
     """Arrays for one page under one goal. Overlap is exact in case and spelling unless it says `folded`."""
-    words, count, length = _read_goal(goal, vectors), len(page), len(goal.tokens)
-    texts = [_read_text(text, vectors) for text in page.text]
-    values = {e: _read_text(value, vectors) for e, value in enumerate(page.value) if value}
-    ids = np.zeros((count, ELEMENT_IDS), dtype=np.int32)
-    folded = np.zeros((count, WORDS), dtype=np.int64)  # of the words that are read; 0 beyond them
-    if count:
-        ids[:, ELEMENT_WORDS] = np.concatenate([text.rows for text in texts]).reshape(count, WORDS)
-        ids[:, TAG] = [_tag_id(tag) for tag in page.tag]
-        ids[:, CLASS] = [_class_ids(classes) for classes in page.classes]
-        folded = np.concatenate([text.read for text in texts]).reshape(count, WORDS)
-    for e, value in values.items():
-        used = min(len(texts[e].exact), WORDS)
-        ids[e, used:WORDS], folded[e, used:] = value.rows[: WORDS - used], value.read[: WORDS - used]
+    words, count = read_goal(goal, vectors), len(page)
+    texts = [read_text(text, vectors) for text in page.text]
+    values = {e: read_text(value, vectors) for e, value in enumerate(page.value) if value}
+    structure = structure_of(page)
+    ids, folded, kinds = _ids(page, texts, values, vectors)
     leaf, typable = page.leaf, page.typable
     ids[:, CLICKABLE], ids[:, TYPABLE] = leaf, typable
-    matches = np.zeros((count, MATCH_KINDS, length), dtype=np.bool_)
-    matches[:, 1] = (folded[:, :, None] == words.hashes).any(axis=1)
     flags = np.zeros((count, ELEMENT_FLAGS), dtype=np.float32)
     flags[:, POSITION] = page.box / (WIDTH_PX, HEIGHT_PX, WIDTH_PX, HEIGHT_PX)
-    flags[:, 4], flags[:, 5], flags[:, 6], flags[:, 7] = page.focused, page.tampered, leaf, typable
-    flags[:, 8] = [len(text.exact) > 0 for text in texts]
-    for e in np.flatnonzero(matches[:, 1].any(axis=1)).tolist():
-        for start in _runs(words.exact, texts[e].exact):
-            matches[e, 0, start : start + len(texts[e].exact)] = True
-        flags[e, 12] = any(True for _ in _runs(words.folded, texts[e].folded))
-        flags[e, 13] = matches[e, 1, words.first].sum() / len({*folded[e].tolist()} - {0})
+    flags[:, STATE], flags[:, STATE + 1], flags[:, STATE + 2], flags[:, STATE + 3] = (
+        page.focused,
+        page.tampered,
+        leaf,
+        typable,
+    )
+    flags[:, STATE + 4] = [len(text.exact) > 0 for text in texts]
     for e, value in values.items():
-        flags[e, 9] = len(value.exact) > 0
-        for start in _runs(words.exact, value.exact):
-            matches[e, 2, start : start + len(value.exact)] = True
-    flags[:, 10], flags[:, 11] = matches[:, 0].any(axis=1), (matches[:, 0] & words.quoted).any(axis=1)
-    flags[:, 14], flags[:, 15] = matches[:, 2].any(axis=1), (matches[:, 2] & words.quoted).any(axis=1)
-    token_flags, on_page = words.flags.copy(), matches[:, 1].any(axis=0)
-    token_flags[:, 3], token_flags[:, 4] = on_page, matches[:, 2].any(axis=0)
-    elements, kinds, tokens = np.nonzero(matches)
+        flags[e, STATE + 5], flags[e, STATE + 6] = len(value.exact) > 0, page.value[e] == "checked"
+    if count:
+        _ranks(flags, structure.rank, structure.alike, words)
+        largest = np.maximum(page.box[leaf, 2:].max(axis=0), 1.0) if leaf.any() else np.ones(2)
+        flags[:, SIZE : SIZE + 2] = np.log(np.clip(page.box[:, 2:] / largest, 0.02, 4.0))
+        _numbers(flags, page, texts, values, words)
+    matches, likeness = _matches(page, texts, values, words, ids, folded, kinds, structure.label, structure.group, flags, vectors)
+    flags[:, 28 : 28 + MATCH_KINDS] = matches.any(axis=2)
+    flags[:, 28 + MATCH_KINDS : 28 + 2 * MATCH_KINDS] = (matches & words.quoted).any(axis=2)
+    token_flags, on_page = words.flags.copy(), matches[:, TEXT_WORD].any(axis=0)
+    token_flags[:, 3], token_flags[:, 4] = on_page, matches[:, VALUE_RUN].any(axis=0)
+    token_flags[:, 6:11] = matches[:, [TEXT_RUN, KIND_WORD, LABEL_WORD, GROUP_RUN, SIMILAR]].any(axis=0).T
+    elements, kind, tokens = np.nonzero(matches)
+    weight = 1.0 / matches.sum(axis=2)[elements, kind]
+    del likeness
     return Features(
         token_ids=np.stack([words.rows, words.quoted | on_page], axis=1, dtype=np.int32),
         token_flags=token_flags,
         element_ids=ids,
         element_flags=flags,
-        match_ids=np.stack([elements, kinds, tokens], axis=1).astype(np.int32),
-        match_weights=(1.0 / matches.sum(axis=2)[elements, kinds]).astype(np.float32),
+        relations=structure.relations,
+        match_ids=np.stack([elements, kind, tokens], axis=1).astype(np.int32),
+        match_weights=weight.astype(np.float32),
     )
 
 
-def _runs(tokens: tuple[str, ...], words: tuple[str, ...]) -> Iterator[int]:
-    """Where `words`, whole and in order, begin in `tokens`."""
-    if words and words[0] in tokens:
-        for start in range(tokens.index(words[0]), len(tokens) - len(words) + 1):
-            if tokens[start : start + len(words)] == words:
-                yield start
+def _ids(
+    page: Page, texts: list[Text], values: dict[int, Text], vectors: Vectors
+) -> tuple[Ids, Hashes, Hashes]:
+    """Columns of ids, then the hashes of the words read [E, WORDS] and of those for its kind [E, KIND_WORDS]."""
+    count = len(page)
+    ids = np.zeros((count, ELEMENT_IDS), dtype=np.int32)
+    folded, named = np.zeros((count, WORDS), dtype=np.int64), np.zeros((count, KIND_WORDS), dtype=np.int64)
+    if not count:
+        return ids, folded, named
+    columns = zip(page.tag, page.classes, page.attributes, page.colour, page.shape, page.text, strict=True)
+    kinds = [
+        read_kind(tag, classes, attributes, colour, shape, text if tag == "text" else "", vectors)
+        for tag, classes, attributes, colour, shape, text in columns
+    ]
+    ids[:, ELEMENT_WORDS] = np.concatenate([text.rows for text in texts]).reshape(count, WORDS)
+    folded = np.concatenate([text.read for text in texts]).reshape(count, WORDS)
+    ids[:, ELEMENT_KIND] = np.concatenate([kind.rows for kind in kinds]).reshape(count, KIND_WORDS)
+    named = np.concatenate([kind.hashes for kind in kinds]).reshape(count, KIND_WORDS)
+    ids[:, TAG] = [kind.tag for kind in kinds]
+    ids[:, CLASS] = [kind.classes for kind in kinds]
+    for e, value in values.items():
+        used = min(len(texts[e].exact), WORDS)
+        ids[e, used:WORDS], folded[e, used:] = value.rows[: WORDS - used], value.read[: WORDS - used]
+    return ids, folded, named
+
+
+def _ranks(flags: Floats, rank: NDArray[np.int64], alike: NDArray[np.int64], words: GoalText) -> None:
+    if "rank" in OFF:
+        return
+    for nth in range(1, 6):
+        flags[:, RANK + nth - 1] = rank == nth
+    flags[:, RANK + 5], flags[:, RANK + 6] = rank == alike, alike == 1
+    flags[:, RANK + 7] = np.log(alike)
+    flags[:, RANK_IS_NUMBER] = (rank[:, None] == words.numbers).any(axis=1)
+
+
+def _numbers(flags: Floats, page: Page, texts: list[Text], values: dict[int, Text], words: GoalText) -> None:
+    if "number" in OFF:
+        return
+    number = np.array([text.number for text in texts], dtype=np.float32)
+    for e, value in values.items():
+        if np.isnan(number[e]):
+            number[e] = value.number
+    found = np.flatnonzero(~np.isnan(number))
+    flags[found, NUMBERS] = 1.0
+    for n, wanted in enumerate(words.numbers.tolist()):
+        if len(found) and not np.isnan(wanted):
+            difference = wanted - number[found]
+            at = NUMBERS + 1 + 3 * n
+            flags[found, at] = difference == 0
+            flags[found, at + 1] = np.sign(difference)
+            flags[found, at + 2] = np.sign(difference) * np.log1p(np.abs(difference)) / 4
+
+
+def _matches(
+    page: Page,
+    texts: list[Text],
+    values: dict[int, Text],
+    words: GoalText,
+    ids: Ids,
+    folded: Hashes,
+    kinds: Hashes,
+    label: NDArray[np.int64],
+    group: NDArray[np.int64],
+    flags: Floats,
+    vectors: Vectors,
+) -> tuple[NDArray[np.bool_], Floats]:
+    """[E, MATCH_KINDS, L] where the goal repeats an element; flags of how well it does are set on the way."""
+    count, length = len(page), len(words.exact)
+    matches = np.zeros((count, MATCH_KINDS, length), dtype=np.bool_)
+    likeness = np.zeros((count, length), dtype=np.float32)
+    if not count:
+        return matches, likeness
+    matches[:, TEXT_WORD] = (folded[:, :, None] == words.hashes).any(axis=1)
+    if "kind" not in OFF:
+        matches[:, KIND_WORD] = (kinds[:, :, None] == words.hashes).any(axis=1)
+    for e in np.flatnonzero(matches[:, TEXT_WORD].any(axis=1)).tolist():
+        exact = texts[e].exact
+        for start in runs(words.exact, exact):
+            matches[e, TEXT_RUN, start : start + len(exact)] = True
+        flags[e, FOLDED] = len(runs(words.folded, texts[e].folded)) > 0
+        flags[e, SHARE] = matches[e, TEXT_WORD, words.first].sum() / len({*folded[e].tolist()} - {0})
+    for e, value in values.items():
+        for start in runs(words.exact, value.exact):
+            matches[e, VALUE_RUN, start : start + len(value.exact)] = True
+    for e, attributes in enumerate(page.attributes):
+        if attributes and "attribute" not in OFF:
+            exact = read_text(attributes, vectors).exact
+            for start in runs(words.exact, exact):
+                matches[e, ATTRIBUTE_RUN, start : start + len(exact)] = True
+    if words.prefixes:
+        for e, text in enumerate(texts):
+            first = text.folded[0] if text.folded else ""
+            flags[e, PREFIX] = any(first.startswith(prefix) for prefix in words.prefixes)
+    if "similar" not in OFF:
+        likeness = _likeness(ids, words, vectors)
+        best = likeness.max(axis=1)
+        flags[:, LIKENESS] = best
+        # A word of the goal may be said in other words where nothing on the page repeats it.
+        unsaid = ~matches[:, TEXT_WORD].any(axis=0)
+        top = likeness.max(axis=0)
+        flags[:, BEST] = ((likeness == top) & (top > 0.3) & unsaid).any(axis=1)
+        matches[:, SIMILAR] = (likeness >= ALIKE) & unsaid & ~matches[:, TEXT_WORD]
+    named = np.flatnonzero(label != NONE)
+    if len(named) and "label" not in OFF:
+        by = label[named]
+        matches[named, LABEL_RUN], matches[named, LABEL_WORD] = matches[by, TEXT_RUN], matches[by, TEXT_WORD]
+        matches[named, SIMILAR] |= matches[by, SIMILAR]
+        flags[named, LABEL_LIKENESS] = flags[by, LIKENESS]
+        flags[named, BEST] = np.maximum(flags[named, BEST], flags[by, BEST])
+        flags[named, WHOLE] = 1.0
+    if "group" not in OFF:
+        grouped = np.flatnonzero(group != NONE)
+        if len(grouped):
+            said = np.zeros((count, length), dtype=np.bool_)
+            np.logical_or.at(said, group[grouped], matches[grouped, TEXT_RUN])
+            matches[grouped, GROUP_RUN] = said[group[grouped]] & ~matches[grouped, TEXT_RUN]
+            flags[grouped, GROUP_QUOTED] = 1.0
+    return matches, likeness
+
+
+def _likeness(ids: Ids, words: GoalText, vectors: Vectors) -> Floats:
+    """[E, L] the largest cosine of a word of the element with each word of the goal, at least 0."""
+    rows = ids[:, ELEMENT_WORDS]
+    unique, place = np.unique(rows, return_inverse=True)
+    cosine = units_of(unique, vectors) @ words.units.T
+    cosine[unique == PADDING] = 0.0
+    out: Floats = np.maximum(cosine[place.reshape(rows.shape)].max(axis=1), 0.0)
+    return out
