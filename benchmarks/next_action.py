@@ -10,7 +10,9 @@ accepts as well (`accepted`). An episode is right when all its steps are, lenien
 from __future__ import annotations
 
 import argparse
+import copy
 import json
+import pickle
 import time
 from collections import defaultdict
 from collections.abc import Sequence
@@ -32,19 +34,26 @@ from learner.cloning import Cloner
 from learner.data import Example, featurise_trajectory
 
 COLLECTION = "2017-10-16_second-turk"
+EMA = 0.98  # of the weights, for each update
 HELD_OUT = 4  # every fourth recording of a task is predicted, the others are learned from
 # Where the instruction fixes the order of equal elements: what is done later is not right now.
 ORDERED = frozenset({"click-button-sequence", "tic-tac-toe", "choose-date-nodelay", "use-spinner"})
 # Where the person tries sections until the link turns up: any that was not tried yet is as good.
-SEARCHES = frozenset({"click-collapsible-2-nodelay", "click-tab-2", "click-tab-2-hard"})
+SEARCHES = frozenset({"click-collapsible-2-nodelay", "click-tab-2", "click-tab-2-hard", "navigate-tree"})
 CONTROLS = frozenset({"a", "button", "label", "li", "td", "h3", "option"})  # clicked as a whole, whatever is inside
 
 
-def load(folder: Path) -> list[Trajectory]:
-    """All clean recordings that the nets can imitate, by task and file name."""
+def load(folder: Path, cache: Path | None = None) -> list[Trajectory]:
+    """All clean recordings that the nets can imitate, by task and file name. `cache` is a file outside the repository."""
+    if cache is not None and cache.exists():
+        with cache.open("rb") as file:
+            return pickle.load(file)  # type: ignore[no-any-return]
     tasks = list(find_recordings(folder, collections=[COLLECTION]))
     episodes, _ = import_recordings(folder, tasks=tasks, collections=[COLLECTION])
-    return [e.trajectory for e in episodes if e.outcome.success and all(a.learnable for a in e.trajectory.actions)]
+    found = [e.trajectory for e in episodes if e.outcome.success and all(a.learnable for a in e.trajectory.actions)]
+    if cache is not None:
+        cache.write_bytes(pickle.dumps(found))
+    return found
 
 
 def split(trajectories: Sequence[Trajectory]) -> tuple[list[Trajectory], list[Trajectory]]:
@@ -82,8 +91,27 @@ def accepted(trajectory: Trajectory, t: int, guess: Action) -> bool:
     a, b = guess.element, done.element
     if control(page, a) == control(page, b) or (_look(page, a) == _look(page, b) and page.text[a]):
         return guess.text(goal) == done.text(goal)
+    if trajectory.task == "click-shape":
+        return _fits_alike(page, a, b, set(goal.tokens))
+    if trajectory.task == "tic-tac-toe":
+        return _as_good(page, a, b)
+    if trajectory.task == "click-widget":
+        return page.tag[a] == page.tag[b]
+    if trajectory.task == "use-autocomplete-nodelay" and "ends" not in goal.tokens:
+        return _look(page, a)[0] == _look(page, b)[0] and page.text[a][:2].lower() == page.text[b][:2].lower()
+    if page.classes[a] == page.classes[b] == "page-link" and page.text[a] == ">":
+        active = [int(t) for t, r in zip(page.text, page.parent, strict=True) if r >= 0 and "active" in page.classes[r] and t.isdigit()]
+        return page.text[b].isdigit() and bool(active) and int(page.text[b]) > active[0]
+    if page.classes[a].startswith("email-") and page.parent[a] == page.parent[b]:
+        return True  # any part of a message opens it
+    if trajectory.task == "click-pie-nodelay":
+        return _on_sector(page, a, b)
     if trajectory.task in SEARCHES and t + 1 < len(trajectory):
-        return page.tag[a] == page.tag[b] and page.tag[_parent(page, a)] == page.tag[_parent(page, b)]
+        last = trajectory.actions[-1].element
+        found = control(trajectory.pages[-1], last) == control(page, a)  # sooner than the person did
+        closed = page.classes[_parent(page, a)].startswith("expandable")
+        like = page.tag[a] == page.tag[b] and page.tag[_parent(page, a)] == page.tag[_parent(page, b)]
+        return found or (closed if trajectory.task == "navigate-tree" else like)
     if trajectory.task in ORDERED or page.tag[a] != page.tag[b]:
         return False
     return any(
@@ -93,6 +121,50 @@ def accepted(trajectory: Trajectory, t: int, guess: Action) -> bool:
         for s, later in enumerate(trajectory.actions)
         if s > t
     )
+
+
+def _fits_alike(page: Page, a: int, b: int, words: set[str]) -> bool:
+    """Whether two drawings fit the same words of an instruction that names no colour (recordings lack it)."""
+    if words & {"red", "green", "blue", "aqua", "black", "magenta", "yellow"} or not words & {"item", "shape", "letter", "digit"}:
+        return False
+    kinds = [_drawn(page, row) for row in (a, b)]
+    if not words & {"item"} and kinds[0] != kinds[1]:
+        return False
+    sizes = page.box[[a, b], 3]
+    return not words & {"small", "large"} or bool(sizes.min() > 0.7 * sizes.max())
+
+
+def _drawn(page: Page, row: int) -> str:
+    if page.tag[row] != "text":
+        return "shape"
+    return "digit" if page.text[row].isdigit() else "letter"
+
+
+def _as_good(page: Page, a: int, b: int) -> bool:
+    """Whether a move is as good as the person's: it wins if that wins, else blocks if that blocks, else is to a free cell."""
+    cells = [row for row in range(len(page)) if page.tag[row] == "span"]
+    if len(cells) != 9 or a not in cells or b not in cells:
+        return False
+    board = ["x" if "mark-x" in page.classes[c] else "o" if "mark-o" in page.classes[c] else "" for c in cells]
+    lines = [(0, 1, 2), (3, 4, 5), (6, 7, 8), (0, 3, 6), (1, 4, 7), (2, 5, 8), (0, 4, 8), (2, 4, 6)]
+
+    def value(cell: int) -> int:
+        if board[cell]:
+            return -1
+        others = [sorted(board[c] for c in line if c != cell) for line in lines if cell in line]
+        return 2 if ["x", "x"] in others else 1 if ["o", "o"] in others else 0
+
+    return value(cells.index(a)) >= max(0, value(cells.index(b)))
+
+
+def _on_sector(page: Page, a: int, b: int) -> bool:
+    """Whether a label lies on the sector that the person clicked, or the other way round."""
+    if {page.tag[a], page.tag[b]} != {"path", "tspan"}:
+        return False
+    sector, label = (a, b) if page.tag[a] == "path" else (b, a)
+    left, top, width, height = page.box[sector]
+    x, y = page.box[label, :2] + page.box[label, 2:] / 2
+    return bool(left <= x <= left + width and top <= y <= top + height)
 
 
 def _parent(page: Page, row: int) -> int:
@@ -141,12 +213,13 @@ def mean(scores: dict[str, dict[str, float]]) -> dict[str, float]:
 
 def train(
     config: Config, learned: Sequence[Example], updates: int, batch: int, seed: int, report: Any = None
-) -> tuple[PolicyNet, float]:
-    """A cloned net, and the CPU-milliseconds a step of training."""
+) -> tuple[PolicyNet, PolicyNet, float]:
+    """A cloned net, the running mean of its weights, and the CPU-milliseconds a step of training."""
     torch.manual_seed(seed)
     generator, rng = torch.Generator().manual_seed(seed), np.random.default_rng(seed)
     net = PolicyNet(load_vectors(config.net.vectors), config.net)
     cloner = Cloner(config.cloning, net, generator, metrics=Metrics())
+    smooth = copy.deepcopy(net)
     by_task: dict[str, list[Example]] = defaultdict(list)
     for example in learned:
         by_task[example.trajectory.task].append(example)
@@ -161,9 +234,13 @@ def train(
         drawn = [examples[rng.integers(len(examples))] for examples in some]
         steps += sum(len(example.features) for example in drawn)
         stats = cloner.update(drawn)
+        decay = min(EMA, (update + 1) / (update + 10))
+        with torch.no_grad():
+            for average, current in zip(smooth.parameters(), net.parameters(), strict=True):
+                average.lerp_(current, 1 - decay)
         if report and (update + 1) % 50 == 0:
             report(update + 1, stats, 1e3 * (time.process_time() - began) / steps)
-    return net, 1e3 * (time.process_time() - began) / steps
+    return net, smooth, 1e3 * (time.process_time() - began) / steps
 
 
 def main() -> None:
@@ -175,13 +252,14 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=CloningConfig().learning_rate)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--tasks", nargs="*", help="only these")
+    parser.add_argument("--cache", type=Path, help="keep the imported recordings in this file")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--mistakes", type=int, default=0, help="print this many mistakes of each of the worst tasks")
     options = parser.parse_args()
     torch.set_num_threads(1)
     config = replace(Config(), cloning=CloningConfig(learning_rate=options.rate))
     began = time.process_time()
-    learned, held_out = split([t for t in load(options.demos) if not options.tasks or t.task in options.tasks])
+    learned, held_out = split([t for t in load(options.demos, options.cache) if not options.tasks or t.task in options.tasks])
     vectors = load_vectors(config.net.vectors)
     examples = [featurise_trajectory(t, vectors) for t in learned]
     tested = [featurise_trajectory(t, vectors) for t in held_out]
@@ -190,12 +268,13 @@ def main() -> None:
     def report(update: int, stats: dict[str, float], cost: float) -> None:
         print(f"{update} loss {stats['p_loss']:.3f} {cost:.2f} ms/step", flush=True)
 
-    net, cost = train(config, examples, options.updates, options.batch, options.seed, report)
+    raw, net, cost = train(config, examples, options.updates, options.batch, options.seed, report)
     guesses = predict(net, tested)
     scores = score(tested, guesses)
     fitted = mean(score(examples, predict(net, examples)))
     result = {
         "held_out": mean(scores),
+        "last_weights": mean(score(tested, predict(raw, tested))),
         "learned": fitted,
         "ms_per_step": round(cost, 3),
         "parameters": sum(p.numel() for p in net.parameters()),
@@ -208,7 +287,7 @@ def main() -> None:
     if options.json:
         options.json.write_text(json.dumps(result, indent=1))
     if options.mistakes:
-        print_mistakes(tested, guesses, worst[:8], options.mistakes)
+        print_mistakes(tested, guesses, worst[:16], options.mistakes)
 
 
 def print_mistakes(examples: Sequence[Example], guesses: Sequence[Sequence[Action]], tasks: Sequence[str], most: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -34,6 +35,7 @@ from giirl_core.nets.language import FIRST_WORD, UNKNOWN
 from giirl_core.types import NO_SPAN, Action, Trajectory, Verb
 
 SPARE_ROWS = 32  # of padding that a block may hold beside a tenth of its rows: another block would cost more
+SHARED = os.environ.get("READER_SHARED", "1") == "1"
 COMMON_WORDS = 4000  # renamed words come from this many of the commonest, whatever the table
 
 
@@ -289,13 +291,16 @@ def rename(batch: Batch, actions: ActionBatch, prob: float, jitter: float, gener
     typed = (position >= start) & (position <= end) & (start != NO_SPAN)
     opened = (batch.token_open | typed) & (batch.token_words >= FIRST_WORD) & chosen[token_page]
     page = batch.element_page
+    words = int(batch.token_words.max()) + 1
+    shared = torch.isin(batch.element_words + page[:, None] * words, (batch.token_words + token_page * words)[opened])
+    shared &= batch.element_words < words
     flags = batch.element_flags.clone()
     flags[:, :2] += shift[page]
     return replace(
         batch,
         token_words=torch.where(opened, _other(batch.token_words, salt[token_page]), batch.token_words),
         element_words=torch.where(
-            (batch.element_words >= FIRST_WORD) & chosen[page, None],
+            shared if SHARED else (batch.element_words >= FIRST_WORD) & chosen[page, None],
             _other(batch.element_words, salt[page, None]),
             batch.element_words,
         ),

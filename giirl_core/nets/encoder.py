@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -25,6 +27,8 @@ from giirl_core.nets.language import PADDING, Vectors
 
 MASKED_LOGIT = -1e9  # of what may not be chosen
 ADJACENT_PX = 4.0  # at this distance an adjacent element counts 1 / e
+LAYERS = int(os.environ.get("READER_LAYERS", "1"))
+NORM = os.environ.get("READER_NORM", "") == "1"
 LINES_APART = 3.0  # a vertical pixel counts as so many horizontal ones
 
 
@@ -78,6 +82,7 @@ class Encoder(nn.Module):
         self.align = nn.Linear(width, width)
         self.aligned = nn.Linear(2 * width, width)
         self.neighbours = Attention(width)
+        self.more = nn.ModuleList(Attention(width) for _ in range(LAYERS - 1))
         self.beside = nn.Linear(width, width) if config.adjacent_elements else None
         self.goal_pool = nn.Linear(width, 1)
         self.summary = nn.Linear(3 * width, width)
@@ -109,6 +114,8 @@ class Encoder(nn.Module):
         alignment = self._alignment(batch, hidden, tokens)
         hidden = hidden + torch.relu(self.aligned(torch.cat([hidden, alignment], dim=1)))
         out: Tensor = hidden + self.neighbours(hidden, batch) if self.config.element_attention else hidden
+        for layer in self.more:
+            out = out + layer(out, batch)
         if self.beside is not None:
             pairs = zip(nearness(batch), batch.by_block(hidden), strict=True)
             near = [share @ part for share, part in pairs]
@@ -174,6 +181,23 @@ def attended(mask: Tensor) -> Tensor:
     return mask | ~mask.any(1, keepdim=True)
 
 
+class _Lookup(torch.autograd.Function):
+    """table[:, codes]: [H, V] and [...] to [H, ...]; for few codes in many places its gradient is a histogram."""
+
+    @staticmethod
+    def forward(ctx: Any, table: Tensor, codes: Tensor) -> Tensor:
+        ctx.save_for_backward(codes)
+        ctx.size = table.shape[1]
+        return table.index_select(1, codes.flatten()).unflatten(1, codes.shape)
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
+        (codes,) = ctx.saved_tensors
+        flat = codes.flatten()
+        parts = [torch.bincount(flat, weights=part.flatten(), minlength=ctx.size) for part in grad]
+        return torch.stack(parts).to(grad.dtype), None
+
+
 class Attention(nn.Module):
     """Four heads from every element of a page to every other: what stands near what."""
 
@@ -182,15 +206,16 @@ class Attention(nn.Module):
         self.heads = heads
         self.project = nn.Linear(width, 3 * width)
         self.out = nn.Linear(width, width)
-        self.bias = nn.Parameter(torch.zeros(RELATIONS, heads))
+        self.bias = nn.Parameter(torch.zeros(heads, RELATIONS))
+        self.norm = nn.LayerNorm(width) if NORM else nn.Identity()
 
     def forward(self, x: Tensor, batch: Batch) -> Tensor:
         """[N, D] from the flat [N, D]."""
         mixed = []
-        bias = torch.cat([self.bias, self.bias.new_full((1, self.heads), MASKED_LOGIT)])
-        for block, part in zip(batch.blocks, batch.by_block(self.project(x)), strict=True):
+        bias = torch.cat([self.bias, self.bias.new_full((self.heads, 1), MASKED_LOGIT)], dim=1)
+        for block, part in zip(batch.blocks, batch.by_block(self.project(self.norm(x))), strict=True):
             q, k, v = part.unflatten(2, (3, self.heads, -1)).permute(2, 0, 3, 1, 4).unbind(0)
-            mask = functional.embedding(block.relations, bias).permute(0, 3, 1, 2)
+            mask = _Lookup.apply(bias, block.relations).transpose(0, 1)
             heads = functional.scaled_dot_product_attention(q, k, v, attn_mask=mask)
             mixed.append(heads.transpose(1, 2).flatten(2).flatten(0, 1))
         return torch.relu(self.out(torch.cat(mixed)))

@@ -56,13 +56,16 @@ STATE = 4  # focused, tampered, leaf, typable, text, value, checked
 COLOUR = 11  # red, green, blue, any
 RANK = 15  # 1st .. 5th, last, only, count
 SIZE = 23  # logarithms of width and height against the largest
-ACTED = 25  # steps since it was acted on: last, before; steps so far
+SAID = 25  # its words are another element's kind; a kind of it is another's text
+DONE = 27  # how many elements were acted on
 ELEMENT_OVERLAP = slice(28, 28 + 2 * MATCH_KINDS + 9)  # each kind, each kind in quotes; then others
-FOLDED, SHARE, PREFIX, LIKENESS, BEST, LABEL_LIKENESS, GROUP_QUOTED, RANK_IS_NUMBER, WHOLE = (
+FOLDED, SHARE, PREFIX, LIKENESS, BEST, LABEL_LIKENESS, GROUPED, RANK_IS_NUMBER, LABELLED = (
     28 + 2 * MATCH_KINDS + i for i in range(9)
 )
-NUMBERS = ELEMENT_OVERLAP.stop  # any; then for each number of the goal: equal, sign, distance
-ELEMENT_FLAGS = NUMBERS + 1 + 3 * GOAL_NUMBERS
+NUMBERS = ELEMENT_OVERLAP.stop  # any, its size; then for each number of the goal: PER_NUMBER of
+EQUAL, SIGN, DISTANCE, CYCLIC, DONE_EQUAL, DONE_SIGN, WANTED, PER_NUMBER = range(8)
+LEAST, MOST = NUMBERS + 2 + PER_NUMBER * GOAL_NUMBERS, NUMBERS + 3 + PER_NUMBER * GOAL_NUMBERS
+ELEMENT_FLAGS = NUMBERS + 4 + PER_NUMBER * GOAL_NUMBERS
 # Columns of Features.token_ids and Features.token_flags.
 WORD, OPEN, TOKEN_IDS = 0, 1, 2
 TOKEN_OVERLAP = slice(3, 11)  # 5 is whether it is quoted
@@ -88,6 +91,10 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
     values = {e: read_text(value, vectors) for e, value in enumerate(page.value) if value}
     structure = structure_of(page)
     ids, folded, kinds = _ids(page, texts, values, vectors)
+    if "labelwords" not in OFF:
+        for e in np.flatnonzero(structure.label != NONE).tolist():
+            if not texts[e].exact and not (e in values and page.tag[e] != "input_checkbox" and page.tag[e] != "input_radio"):
+                ids[e, ELEMENT_WORDS] = texts[structure.label[e]].rows
     leaf, typable = page.leaf, page.typable
     ids[:, CLICKABLE], ids[:, TYPABLE] = leaf, typable
     flags = np.zeros((count, ELEMENT_FLAGS), dtype=np.float32)
@@ -105,7 +112,9 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
         _ranks(flags, structure.rank, structure.alike, words)
         largest = np.maximum(page.box[leaf, 2:].max(axis=0), 1.0) if leaf.any() else np.ones(2)
         flags[:, SIZE : SIZE + 2] = np.log(np.clip(page.box[:, 2:] / largest, 0.02, 4.0))
-        _numbers(flags, page, texts, values, words)
+        _numbers(flags, page, texts, values, words, structure.rank, structure.alike)
+        _said(flags, folded, kinds)
+        _extremes(flags, page, texts)
     matches, likeness = _matches(page, texts, values, words, ids, folded, kinds, structure.label, structure.group, flags, vectors)
     flags[:, 28 : 28 + MATCH_KINDS] = matches.any(axis=2)
     flags[:, 28 + MATCH_KINDS : 28 + 2 * MATCH_KINDS] = (matches & words.quoted).any(axis=2)
@@ -162,7 +171,7 @@ def _ranks(flags: Floats, rank: NDArray[np.int64], alike: NDArray[np.int64], wor
     flags[:, RANK_IS_NUMBER] = (rank[:, None] == words.numbers).any(axis=1)
 
 
-def _numbers(flags: Floats, page: Page, texts: list[Text], values: dict[int, Text], words: GoalText) -> None:
+def _numbers(flags: Floats, page: Page, texts: list[Text], values: dict[int, Text], words: GoalText, rank: NDArray[np.int64], alike: NDArray[np.int64]) -> None:
     if "number" in OFF:
         return
     number = np.array([text.number for text in texts], dtype=np.float32)
@@ -170,14 +179,45 @@ def _numbers(flags: Floats, page: Page, texts: list[Text], values: dict[int, Tex
         if np.isnan(number[e]):
             number[e] = value.number
     found = np.flatnonzero(~np.isnan(number))
-    flags[found, NUMBERS] = 1.0
+    flags[found, NUMBERS], flags[found, NUMBERS + 1] = 1.0, np.clip(number[found], -20, 40) / 10
+    done = int((page.tampered & page.leaf).sum())
+    flags[:, DONE] = np.log1p(done)
     for n, wanted in enumerate(words.numbers.tolist()):
-        if len(found) and not np.isnan(wanted):
-            difference = wanted - number[found]
-            at = NUMBERS + 1 + 3 * n
-            flags[found, at] = difference == 0
-            flags[found, at + 1] = np.sign(difference)
-            flags[found, at + 2] = np.sign(difference) * np.log1p(np.abs(difference)) / 4
+        at = NUMBERS + 2 + PER_NUMBER * n
+        if np.isnan(wanted):
+            continue
+        difference = wanted - number[found]
+        flags[found, at + EQUAL] = difference == 0
+        flags[found, at + SIGN] = np.sign(difference)
+        flags[found, at + DISTANCE] = np.sign(difference) * np.log1p(np.abs(difference)) / 4
+        flags[:, at + CYCLIC] = (wanted - rank) % alike == 0
+        flags[:, at + DONE_EQUAL], flags[:, at + DONE_SIGN] = done == wanted, np.sign(wanted - done)
+        flags[:, at + WANTED] = min(max(wanted, -20), 40) / 10
+
+
+def _extremes(flags: Floats, page: Page, texts: list[Text]) -> None:
+    """Marks the least and the greatest of elements that look alike and hold numbers."""
+    alike: dict[tuple[str, str], list[int]] = {}
+    for e, text in enumerate(texts):
+        if text.numbers:
+            alike.setdefault((page.tag[e], page.classes[e]), []).append(e)
+    for rows in alike.values():
+        held = [texts[e].numbers for e in rows]
+        least, most = min(held), max(held)
+        if least < most and len({len(numbers) for numbers in held}) == 1:
+            for e, numbers in zip(rows, held, strict=True):
+                flags[e, LEAST], flags[e, MOST] = numbers == least, numbers == most
+
+
+def _said(flags: Floats, folded: Hashes, kinds: Hashes) -> None:
+    """Marks elements whose one word another element is of a kind with, and those others."""
+    if "said" in OFF:
+        return
+    single = np.where(folded[:, 1] == 0, folded[:, 0], 0)
+    same = (kinds[:, :, None] == single) & (single != 0)  # [E, KIND_WORDS, E]
+    same = same.any(axis=1)
+    np.fill_diagonal(same, False)
+    flags[:, SAID], flags[:, SAID + 1] = same.any(axis=0), same.any(axis=1)
 
 
 def _matches(
@@ -236,14 +276,14 @@ def _matches(
         matches[named, SIMILAR] |= matches[by, SIMILAR]
         flags[named, LABEL_LIKENESS] = flags[by, LIKENESS]
         flags[named, BEST] = np.maximum(flags[named, BEST], flags[by, BEST])
-        flags[named, WHOLE] = 1.0
+        flags[named, LABELLED] = 1.0
     if "group" not in OFF:
         grouped = np.flatnonzero(group != NONE)
         if len(grouped):
             said = np.zeros((count, length), dtype=np.bool_)
             np.logical_or.at(said, group[grouped], matches[grouped, TEXT_RUN])
             matches[grouped, GROUP_RUN] = said[group[grouped]] & ~matches[grouped, TEXT_RUN]
-            flags[grouped, GROUP_QUOTED] = 1.0
+            flags[grouped, GROUPED] = 1.0
     return matches, likeness
 
 

@@ -90,6 +90,7 @@ class Text:
     folded: tuple[str, ...]  # [W] in lower case
     read: Hashes  # [WORDS] of the first of these, 0 beyond the text
     number: float  # the number that the text is or names; nan for none
+    numbers: tuple[int, ...]  # all numbers in it, in order
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +129,7 @@ def read_text(text: str, vectors: Vectors) -> Text:
     rows[: len(words)] = [vectors.row(word) for word in words[:WORDS]]
     read = np.zeros(WORDS, dtype=np.int64)
     read[: len(words)] = hashes_of(folded[:WORDS])
-    return Text(rows=rows, exact=words, folded=folded, read=read, number=_number_of(text, folded))
+    return Text(rows=rows, exact=words, folded=folded, read=read, number=_number_of(text, folded), numbers=_numbers_in(text))
 
 
 @functools.lru_cache(maxsize=1 << 14)
@@ -230,6 +231,10 @@ def _number_of(text: str, folded: tuple[str, ...]) -> float:
     if len(folded) == 1 and folded[0] in _MONTHS:
         return 1.0 + _MONTHS.index(folded[0])
     return np.nan
+
+
+def _numbers_in(text: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in re.findall(r"(?<!\d)\d{1,9}(?!\d)", text))
 
 
 def _goal_numbers(utterance: str) -> list[float]:
