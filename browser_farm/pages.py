@@ -65,8 +65,9 @@ def decode_page(columns: list[Any]) -> Page:
         box=np.array(boxes, dtype=np.float32).reshape(-1, 4),
         focused=(flags & FOCUSED) != 0,
         tampered=(flags & TAMPERED) != 0,
-        colour=_scattered(looks[::3], looks[1::3], len(tag)),
-        shape=_scattered(looks[::3], looks[2::3], len(tag)),
+        colour=_scattered(looks[::4], looks[1::4], len(tag)),
+        shape=_scattered(looks[::4], looks[2::4], len(tag)),
+        attributes=_scattered(looks[::4], looks[3::4], len(tag)),
     )
 
 

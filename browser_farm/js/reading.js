@@ -44,6 +44,16 @@ const reading = (() => {
     return element instanceof HTMLOptionElement && element.selected ? 'checked' : '';
   }
 
+  // What else tells an element from its like: as recordings have it, the id first.
+  function attributesOf(node) {
+    const words = [];
+    for (const name of ['id', 'placeholder', 'title', 'alt', 'aria-label']) {
+      const said = node.getAttribute(name);
+      if (said) words.push(flat(said));
+    }
+    return words.join(' ');
+  }
+
   function walk() {
     const tag = [], text = [], value = [], classes = [], numbers = [], boxes = [], looks = [];
     const active = document.activeElement;
@@ -65,7 +75,8 @@ const reading = (() => {
       const colour = (style !== null && (node.style.backgroundColor || node.style.fill || node.style.color))
         || (drawn && node.getAttribute('fill')) || (drawings.has(node) && drawings.get(node).colour) || '';
       const shape = drawn || drawings.has(node) ? shapeOf(node) : '';
-      if (colour || shape) looks.push(row, colour, shape);
+      const attributes = attributesOf(node);
+      if (colour || shape || attributes) looks.push(row, colour, shape, attributes);
     }
 
     // One row for each line the text takes, as a reader sees it.
