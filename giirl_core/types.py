@@ -97,7 +97,7 @@ class Page:
     focused: NDArray[np.bool_]  # [E]
     tampered: NDArray[np.bool_]  # [E] acted on earlier in this episode
     colour: tuple[str, ...] = ()  # [E] fill colour of an SVG shape, or colour in an element's own style; else ""
-    attributes: tuple[str, ...] = ()  # [E] id, placeholder, title, alt and aria-label, space-separated
+    attributes: tuple[str, ...] = ()  # [E] id, placeholder, alt and aria-label, space-separated
     shape: tuple[str, ...] = ()  # [E] kind of an SVG shape and its corners in px, "triangle 10,40 20,20 30,40"; else ""
 
     def __post_init__(self) -> None:

@@ -146,7 +146,8 @@ def parse_node(raw: object, where: str, depth: int = 0) -> Node:
         text="" if children or tag.lower().startswith(VALUE_TAGS) else " ".join(_text(raw, "text", where).split()),
         value=("checked" if value else "") if isinstance(value, bool) else value,
         colour=colour if (colour := str(raw.get("bgColor") or "")) not in CLEAR else "",
-        classes="" if isinstance(raw.get("classes"), dict) else _text(raw, "classes", where),  # SVG elements have {}
+        # SVG elements have {}.
+        classes="" if isinstance(raw.get("classes"), dict) else _not_pointed_at(_text(raw, "classes", where)),
         box=(
             read_number(raw, "left", where),
             read_number(raw, "top", where),
@@ -178,6 +179,14 @@ def read_number(raw: Mapping[str, object], key: str, where: str, default: object
             f"{_describe_key(raw, key, where)} is {_describe(value)}, wanted a number of at most {MAX_NUMBER:.0e}"
         )
     return float(value)
+
+
+def _not_pointed_at(classes: str) -> str:
+    """Classes without those of what the mouse is over: the person clicks that next, and a policy has no mouse there."""
+    names = [name for name in classes.split(" ") if "hover" not in name]
+    if "ui-menu-item-wrapper" in names:
+        names = [name for name in names if name != "ui-state-active"]
+    return " ".join(names)
 
 
 def _text(raw: Mapping[str, object], key: str, where: str) -> str:

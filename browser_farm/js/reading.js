@@ -47,7 +47,7 @@ const reading = (() => {
   // What else tells an element from its like: as recordings have it, the id first.
   function attributesOf(node) {
     const words = [];
-    for (const name of ['id', 'placeholder', 'title', 'alt', 'aria-label']) {
+    for (const name of ['id', 'placeholder', 'alt', 'aria-label']) {
       const said = node.getAttribute(name);
       if (said) words.push(flat(said));
     }

@@ -36,6 +36,7 @@ from giirl_core.types import NO_SPAN, Action, Trajectory, Verb
 
 SPARE_ROWS = 32  # of padding that a block may hold beside a tenth of its rows: another block would cost more
 SHARED = os.environ.get("READER_SHARED", "1") == "1"
+DROP = float(os.environ.get("READER_DROP", "0"))
 COMMON_WORDS = 4000  # renamed words come from this many of the commonest, whatever the table
 
 
@@ -291,6 +292,10 @@ def rename(batch: Batch, actions: ActionBatch, prob: float, jitter: float, gener
     typed = (position >= start) & (position <= end) & (start != NO_SPAN)
     opened = (batch.token_open | typed) & (batch.token_words >= FIRST_WORD) & chosen[token_page]
     page = batch.element_page
+    if DROP:
+        lost = (torch.rand(len(token_page), generator=generator) < DROP).to(device)
+        lost = lost & ~opened & chosen[token_page] & (batch.token_words >= FIRST_WORD)
+        batch = replace(batch, token_words=torch.where(lost, UNKNOWN, batch.token_words))
     words = int(batch.token_words.max()) + 1
     shared = torch.isin(batch.element_words + page[:, None] * words, (batch.token_words + token_page * words)[opened])
     shared &= batch.element_words < words

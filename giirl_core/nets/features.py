@@ -19,6 +19,7 @@ from giirl_core.nets.reading import (
     KIND_WORDS,
     TAGS,
     TOKEN_FLAGS,
+    WHAT_WORDS,
     WORDS,
     Floats,
     GoalText,
@@ -90,7 +91,7 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
     texts = [read_text(text, vectors) for text in page.text]
     values = {e: read_text(value, vectors) for e, value in enumerate(page.value) if value}
     structure = structure_of(page)
-    ids, folded, kinds = _ids(page, texts, values, vectors)
+    ids, folded, kinds, what = _ids(page, texts, values, vectors)
     if "labelwords" not in OFF:
         for e in np.flatnonzero(structure.label != NONE).tolist():
             if not texts[e].exact and not (e in values and page.tag[e] != "input_checkbox" and page.tag[e] != "input_radio"):
@@ -113,7 +114,7 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
         largest = np.maximum(page.box[leaf, 2:].max(axis=0), 1.0) if leaf.any() else np.ones(2)
         flags[:, SIZE : SIZE + 2] = np.log(np.clip(page.box[:, 2:] / largest, 0.02, 4.0))
         _numbers(flags, page, texts, values, words, structure.rank, structure.alike)
-        _said(flags, folded, kinds)
+        _said(flags, folded, what)
         _extremes(flags, page, texts)
     matches, likeness = _matches(page, texts, values, words, ids, folded, kinds, structure.label, structure.group, flags, vectors)
     flags[:, 28 : 28 + MATCH_KINDS] = matches.any(axis=2)
@@ -137,13 +138,13 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
 
 def _ids(
     page: Page, texts: list[Text], values: dict[int, Text], vectors: Vectors
-) -> tuple[Ids, Hashes, Hashes]:
-    """Columns of ids, then the hashes of the words read [E, WORDS] and of those for its kind [E, KIND_WORDS]."""
+) -> tuple[Ids, Hashes, Hashes, Hashes]:
+    """Columns of ids, then the hashes of the words read [E, WORDS], of those for its kind [E, KIND_WORDS] and tag."""
     count = len(page)
     ids = np.zeros((count, ELEMENT_IDS), dtype=np.int32)
     folded, named = np.zeros((count, WORDS), dtype=np.int64), np.zeros((count, KIND_WORDS), dtype=np.int64)
     if not count:
-        return ids, folded, named
+        return ids, folded, named, named
     columns = zip(page.tag, page.classes, page.attributes, page.colour, page.shape, page.text, strict=True)
     kinds = [
         read_kind(tag, classes, attributes, colour, shape, text if tag == "text" else "", vectors)
@@ -158,7 +159,7 @@ def _ids(
     for e, value in values.items():
         used = min(len(texts[e].exact), WORDS)
         ids[e, used:WORDS], folded[e, used:] = value.rows[: WORDS - used], value.read[: WORDS - used]
-    return ids, folded, named
+    return ids, folded, named, np.concatenate([kind.what for kind in kinds]).reshape(count, WHAT_WORDS)
 
 
 def _ranks(flags: Floats, rank: NDArray[np.int64], alike: NDArray[np.int64], words: GoalText) -> None:

@@ -17,6 +17,7 @@ from giirl_core.types import TOKEN, Goal
 
 WORDS = 14  # words of one element that are read: its text, then its value
 KIND_WORDS = 8  # words for what an element is: its tag, classes, attributes, colour and shape
+WHAT_WORDS = 4
 TAGS = 128  # hash buckets of tag names
 CLASSES = 64  # hash buckets of class names, 0 for none
 CLASS_SLOTS = 3
@@ -54,6 +55,7 @@ _COUNTS = "zero one two three four five six seven eight nine ten".split()
 _WORD = re.compile(r"[a-z]+|[A-Z][a-z]*|[^\W\d_]+")
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?![\d.]*\.\d)")
 _RGB = re.compile(r"rgba?\((\d+), ?(\d+), ?(\d+)")
+_POINTED_AT = re.compile(r"hover|-over$")  # classes of what a mouse happens to be over, which says what a person does next
 _NAMED = {
     "aqua": (0, 255, 255),
     "black": (0, 0, 0),
@@ -99,6 +101,7 @@ class Kind:
 
     rows: Ids  # [KIND_WORDS] of the word vectors
     hashes: Hashes  # [KIND_WORDS] of the words in lower case, 0 beyond them
+    what: Hashes  # [WHAT_WORDS] of those for its tag and shape
     tag: int
     classes: tuple[int, ...]  # [CLASS_SLOTS]
     colour: tuple[float, float, float, float]  # red, green, blue in [0, 1]; 1 where there is one
@@ -140,20 +143,24 @@ def read_kind(tag: str, classes: str, attributes: str, colour: str, shape: str, 
         words.append(shape.split()[0])
     if tag == "text" and len(drawn) == 1:
         words += ["digit", "number"] if drawn.isdigit() else ["letter"]
+    what = np.zeros(WHAT_WORDS, dtype=np.int64)
+    what[: min(len(words), WHAT_WORDS)] = hashes_of(words[:WHAT_WORDS])
     red_green_blue = _colour_of(colour)
     words += _colour_words(red_green_blue)
-    for name in (classes, attributes):
+    names = [name for name in classes.split() if not _POINTED_AT.search(name)]
+    for name in (" ".join(names), attributes):
         words += [word.lower() for word in _WORD.findall(name)]
     words = list(dict.fromkeys(words))[:KIND_WORDS]
     rows = np.full(KIND_WORDS, PADDING, dtype=np.int32)
     rows[: len(words)] = [vectors.row(word) for word in words]
     hashes = np.zeros(KIND_WORDS, dtype=np.int64)
     hashes[: len(words)] = hashes_of(words)
-    ids = [1 + zlib.crc32(name.encode()) % (CLASSES - 1) for name in classes.split()[:CLASS_SLOTS]]
+    ids = [1 + zlib.crc32(name.encode()) % (CLASSES - 1) for name in names[:CLASS_SLOTS]]
     share = (0.0, 0.0, 0.0, 0.0) if red_green_blue is None else (*(c / 255 for c in red_green_blue), 1.0)
     return Kind(
         rows=rows,
         hashes=hashes,
+        what=what,
         tag=zlib.crc32(tag.encode()) % TAGS,
         classes=(*ids, *[0] * (CLASS_SLOTS - len(ids))),
         colour=share,  # type: ignore[arg-type]
