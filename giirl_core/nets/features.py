@@ -17,6 +17,7 @@ from giirl_core.nets.reading import (
     CLASSES,
     GOAL_NUMBERS,
     KIND_WORDS,
+    MONTHS,
     TAGS,
     TOKEN_FLAGS,
     WHAT_WORDS,
@@ -48,8 +49,9 @@ CLASS = slice(TAG + 1, TAG + 1 + CLASS_SLOTS)
 CLICKABLE, TYPABLE = TAG + 1 + CLASS_SLOTS, TAG + 2 + CLASS_SLOTS
 ELEMENT_IDS = TAG + 3 + CLASS_SLOTS
 # Kinds of match between an element and the goal.
-TEXT_RUN, TEXT_WORD, VALUE_RUN, KIND_WORD, ATTRIBUTE_RUN, LABEL_RUN, LABEL_WORD, GROUP_RUN, SIMILAR = range(9)
-MATCH_KINDS = 9
+TEXT_RUN, TEXT_WORD, VALUE_RUN, KIND_WORD, ATTRIBUTE_RUN, LABEL_RUN, LABEL_WORD, GROUP_RUN, SIMILAR, LIKEST = range(10)
+MATCH_KINDS = 10
+LEAST_ALIKE = 0.25  # cosine of the word on the page that is most like a word of the goal, to count
 ALIKE = 0.5  # cosine of words that count as similar
 # Columns of Features.element_flags: the box as shares of a page, state, then agreement of element and goal.
 POSITION = slice(0, 4)
@@ -59,14 +61,15 @@ RANK = 15  # 1st .. 5th, last, only, count
 SIZE = 23  # logarithms of width and height against the largest
 SAID = 25  # its words are another element's kind; a kind of it is another's text
 DONE = 27  # how many elements were acted on
-ELEMENT_OVERLAP = slice(28, 28 + 2 * MATCH_KINDS + 9)  # each kind, each kind in quotes; then others
-FOLDED, SHARE, PREFIX, LIKENESS, BEST, LABEL_LIKENESS, GROUPED, RANK_IS_NUMBER, LABELLED = (
-    28 + 2 * MATCH_KINDS + i for i in range(9)
+ELEMENT_OVERLAP = slice(28, 28 + 2 * MATCH_KINDS + 10)  # each kind, each kind in quotes; then others
+FOLDED, SHARE, PREFIX, LIKENESS, BEST, LABEL_LIKENESS, GROUPED, RANK_IS_NUMBER, LABELLED, SUFFIX = (
+    28 + 2 * MATCH_KINDS + i for i in range(10)
 )
 NUMBERS = ELEMENT_OVERLAP.stop  # any, its size; then for each number of the goal: PER_NUMBER of
 EQUAL, SIGN, DISTANCE, CYCLIC, DONE_EQUAL, DONE_SIGN, WANTED, PER_NUMBER = range(8)
 LEAST, MOST = NUMBERS + 2 + PER_NUMBER * GOAL_NUMBERS, NUMBERS + 3 + PER_NUMBER * GOAL_NUMBERS
-ELEMENT_FLAGS = NUMBERS + 4 + PER_NUMBER * GOAL_NUMBERS
+CALENDAR = NUMBERS + 4 + PER_NUMBER * GOAL_NUMBERS  # the page shows a month; it is the goal's; goal's is later, or earlier
+ELEMENT_FLAGS = NUMBERS + 8 + PER_NUMBER * GOAL_NUMBERS
 # Columns of Features.token_ids and Features.token_flags.
 WORD, OPEN, TOKEN_IDS = 0, 1, 2
 TOKEN_OVERLAP = slice(3, 11)  # 5 is whether it is quoted
@@ -116,6 +119,7 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
         _numbers(flags, page, texts, values, words, structure.rank, structure.alike)
         _said(flags, folded, what)
         _extremes(flags, page, texts)
+        _calendar(flags, page, words)
     matches, likeness = _matches(page, texts, values, words, ids, folded, kinds, structure.label, structure.group, flags, vectors)
     flags[:, 28 : 28 + MATCH_KINDS] = matches.any(axis=2)
     flags[:, 28 + MATCH_KINDS : 28 + 2 * MATCH_KINDS] = (matches & words.quoted).any(axis=2)
@@ -196,6 +200,19 @@ def _numbers(flags: Floats, page: Page, texts: list[Text], values: dict[int, Tex
         flags[:, at + WANTED] = min(max(wanted, -20), 40) / 10
 
 
+def _calendar(flags: Floats, page: Page, words: GoalText) -> None:
+    """Marks all elements where the page shows a month and the goal has a date: whether to go on or back."""
+    if words.month is None:
+        return
+    months = [MONTHS.index(text.lower()) + 1 for text in page.text if text.lower() in MONTHS]
+    years = [int(text) for text in page.text if len(text) == 4 and text.isdigit()]
+    if len(months) == 1:
+        shown = (years[0] if years else words.month[0], months[0])
+        flags[:, CALENDAR] = 1.0
+        flags[:, CALENDAR + 1] = shown == words.month
+        flags[:, CALENDAR + 2], flags[:, CALENDAR + 3] = words.month > shown, words.month < shown
+
+
 def _extremes(flags: Floats, page: Page, texts: list[Text]) -> None:
     """Marks the least and the greatest of elements that look alike and hold numbers."""
     alike: dict[tuple[str, str], list[int]] = {}
@@ -260,7 +277,10 @@ def _matches(
     if words.prefixes:
         for e, text in enumerate(texts):
             first = text.folded[0] if text.folded else ""
-            flags[e, PREFIX] = any(first.startswith(prefix) for prefix in words.prefixes)
+            last = text.folded[-1] if text.folded else ""
+            if first:
+                flags[e, PREFIX] = any(first.startswith(prefix) for prefix in words.prefixes)
+                flags[e, SUFFIX] = last.endswith(words.prefixes[-1])
     if "similar" not in OFF:
         likeness = _likeness(ids, words, vectors)
         best = likeness.max(axis=1)
@@ -268,7 +288,7 @@ def _matches(
         # A word of the goal may be said in other words where nothing on the page repeats it.
         unsaid = ~matches[:, TEXT_WORD].any(axis=0)
         top = likeness.max(axis=0)
-        flags[:, BEST] = ((likeness == top) & (top > 0.3) & unsaid).any(axis=1)
+        matches[:, LIKEST] = (likeness == top) & (top > LEAST_ALIKE) & unsaid
         matches[:, SIMILAR] = (likeness >= ALIKE) & unsaid & ~matches[:, TEXT_WORD]
     named = np.flatnonzero(label != NONE)
     if len(named) and "label" not in OFF:
@@ -276,7 +296,7 @@ def _matches(
         matches[named, LABEL_RUN], matches[named, LABEL_WORD] = matches[by, TEXT_RUN], matches[by, TEXT_WORD]
         matches[named, SIMILAR] |= matches[by, SIMILAR]
         flags[named, LABEL_LIKENESS] = flags[by, LIKENESS]
-        flags[named, BEST] = np.maximum(flags[named, BEST], flags[by, BEST])
+        matches[named, LIKEST] |= matches[by, LIKEST]
         flags[named, LABELLED] = 1.0
     if "group" not in OFF:
         grouped = np.flatnonzero(group != NONE)

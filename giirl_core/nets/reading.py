@@ -50,10 +50,11 @@ _TAG_WORDS = {  # what a person calls an element
     "select": ("list",),
     "textarea": ("textarea",),
 }
-_MONTHS = "january february march april may june july august september october november december".split()
+MONTHS = "january february march april may june july august september october november december".split()
 _COUNTS = "zero one two three four five six seven eight nine ten".split()
 _WORD = re.compile(r"[a-z]+|[A-Z][a-z]*|[^\W\d_]+")
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?![\d.]*\.\d)")
+_DATE = re.compile(r"\b(\d{1,2})/\d{1,2}/(\d{4})\b")
 _RGB = re.compile(r"rgba?\((\d+), ?(\d+), ?(\d+)")
 _POINTED_AT = re.compile(r"hover|-over$")  # classes of what a mouse happens to be over, which says what a person does next
 _NAMED = {
@@ -121,6 +122,7 @@ class GoalText:
     units: Floats  # [L, D] directions of the words; zeros where a word is too common to be like another
     numbers: Floats  # [GOAL_NUMBERS] nan beyond them
     prefixes: tuple[str, ...]  # quoted words, in lower case
+    month: tuple[int, int] | None  # year and month of a date
 
 
 @functools.lru_cache(maxsize=1 << 16)
@@ -195,6 +197,7 @@ def read_goal(goal: Goal, vectors: Vectors) -> GoalText:
         flags=flags,
         units=units.astype(np.float32),
         numbers=numbers,
+        month=_month_of(goal.utterance),
         prefixes=tuple(word for word, inside in zip(folded, quoted, strict=True) if inside and word.isalnum()),
     )
 
@@ -235,9 +238,14 @@ def _runs(tokens: tuple[str, ...], words: tuple[str, ...]) -> Iterator[int]:
 def _number_of(text: str, folded: tuple[str, ...]) -> float:
     if text and len(text) <= 8 and _NUMBER.fullmatch(text):
         return float(text)
-    if len(folded) == 1 and folded[0] in _MONTHS:
-        return 1.0 + _MONTHS.index(folded[0])
+    if len(folded) == 1 and folded[0] in MONTHS:
+        return 1.0 + MONTHS.index(folded[0])
     return np.nan
+
+
+def _month_of(utterance: str) -> tuple[int, int] | None:
+    found = _DATE.search(utterance)
+    return None if found is None else (int(found.group(2)), int(found.group(1)))
 
 
 def _numbers_in(text: str) -> tuple[int, ...]:
@@ -253,8 +261,8 @@ def _goal_numbers(utterance: str) -> list[float]:
             found.append(float(word))
         elif word in _COUNTS:
             found.append(float(_COUNTS.index(word)))
-        elif word in _MONTHS and word != "may":
-            found.append(1.0 + _MONTHS.index(word))
+        elif word in MONTHS and word != "may":
+            found.append(1.0 + MONTHS.index(word))
     return found
 
 
