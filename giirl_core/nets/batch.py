@@ -296,6 +296,9 @@ def rename(batch: Batch, actions: ActionBatch, prob: float, jitter: float, gener
         lost = (torch.rand(len(token_page), generator=generator) < DROP).to(device)
         lost = lost & ~opened & chosen[token_page] & (batch.token_words >= FIRST_WORD)
         batch = replace(batch, token_words=torch.where(lost, UNKNOWN, batch.token_words))
+        missing = (torch.rand(batch.element_words.shape, generator=generator) < DROP).to(device)
+        missing = missing & chosen[batch.element_page, None] & (batch.element_words >= FIRST_WORD)
+        batch = replace(batch, element_words=torch.where(missing, UNKNOWN, batch.element_words))
     words = int(batch.token_words.max()) + 1
     shared = torch.isin(batch.element_words + page[:, None] * words, (batch.token_words + token_page * words)[opened])
     shared &= batch.element_words < words

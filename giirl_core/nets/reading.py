@@ -115,7 +115,7 @@ class GoalText:
     rows: Ids  # [L]
     exact: tuple[str, ...]  # [L]
     folded: tuple[str, ...]  # [L] in lower case
-    hashes: Hashes  # [L] of these
+    hashes: Hashes  # [L] of these; -1 for punctuation, which alone says nothing
     first: NDArray[np.int64]  # where each different one stands first
     quoted: NDArray[np.bool_]  # [L] inside a pair of double quotes
     flags: Floats  # [L, TOKEN_FLAGS], overlap not filled in
@@ -181,9 +181,10 @@ def read_goal(goal: Goal, vectors: Vectors) -> GoalText:
     flags[:, 2] = [token[:1].isupper() for token in tokens]
     flags[:, 11] = [token[:1].isdigit() for token in tokens]
     folded = tuple(token.lower() for token in tokens)
-    hashes = hashes_of(folded)
+    hashes = np.where(flags[:, 1] == 0, hashes_of(folded), -1)
     rows = np.array([vectors.row(token) for token in tokens], dtype=np.int32)
-    units = units_of(rows, vectors) * ((rows >= FIRST_WORD + COMMON_ROWS) & (flags[:, 1] == 0))[:, None]
+    rare = (rows >= FIRST_WORD + COMMON_ROWS) & (rows < len(vectors.table) - FIRST_WORD)  # the two commonest come last
+    units = units_of(rows, vectors) * (rare & (flags[:, 1] == 0))[:, None]
     numbers = np.full(GOAL_NUMBERS, np.nan, dtype=np.float32)
     found = _goal_numbers(goal.utterance)[:GOAL_NUMBERS]
     numbers[: len(found)] = found
