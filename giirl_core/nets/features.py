@@ -15,6 +15,7 @@ from giirl_core.nets.language import PADDING, Vectors
 from giirl_core.nets.reading import (
     CLASS_SLOTS,
     CLASSES,
+    COLOURS,
     GOAL_NUMBERS,
     KIND_WORDS,
     MONTHS,
@@ -27,6 +28,7 @@ from giirl_core.nets.reading import (
     Hashes,
     Ids,
     Text,
+    described_as,
     read_goal,
     read_kind,
     read_text,
@@ -69,7 +71,8 @@ NUMBERS = ELEMENT_OVERLAP.stop  # any, its size; then for each number of the goa
 EQUAL, SIGN, DISTANCE, CYCLIC, DONE_EQUAL, DONE_SIGN, WANTED, PER_NUMBER = range(8)
 LEAST, MOST = NUMBERS + 2 + PER_NUMBER * GOAL_NUMBERS, NUMBERS + 3 + PER_NUMBER * GOAL_NUMBERS
 CALENDAR = NUMBERS + 4 + PER_NUMBER * GOAL_NUMBERS  # the page shows a month; it is the goal's; goal's is later, or earlier
-ELEMENT_FLAGS = NUMBERS + 8 + PER_NUMBER * GOAL_NUMBERS
+FITS = NUMBERS + 8 + PER_NUMBER * GOAL_NUMBERS  # a drawing is as described; so many are as the element's number says
+ELEMENT_FLAGS = NUMBERS + 10 + PER_NUMBER * GOAL_NUMBERS
 # Columns of Features.token_ids and Features.token_flags.
 WORD, OPEN, TOKEN_IDS = 0, 1, 2
 TOKEN_OVERLAP = slice(3, 11)  # 5 is whether it is quoted
@@ -120,6 +123,7 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
         _said(flags, folded, what)
         _extremes(flags, page, texts)
         _calendar(flags, page, words)
+        _drawings(flags, page, texts, words)
     matches, likeness = _matches(page, texts, values, words, ids, folded, kinds, structure.label, structure.group, flags, vectors)
     flags[:, 28 : 28 + MATCH_KINDS] = matches.any(axis=2)
     flags[:, 28 + MATCH_KINDS : 28 + 2 * MATCH_KINDS] = (matches & words.quoted).any(axis=2)
@@ -213,6 +217,22 @@ def _calendar(flags: Floats, page: Page, words: GoalText) -> None:
         flags[:, CALENDAR + 2], flags[:, CALENDAR + 3] = words.month > shown, words.month < shown
 
 
+def _drawings(flags: Floats, page: Page, texts: list[Text], words: GoalText) -> None:
+    """Marks drawings that are as the goal describes them, and elements that say how many. Unknown colours mark none."""
+    if (words.described is None and not words.signs) or "drawings" in OFF:
+        return
+    wanted = words.described or frozenset()
+    columns = zip(page.tag, page.colour, page.shape, page.text, page.box[:, 3].tolist(), strict=True)
+    drawn = {e: (described_as(tag, colour, shape, text, height), text)
+             for e, (tag, colour, shape, text, height) in enumerate(columns) if tag == "text" or shape}
+    if not drawn or (wanted & COLOURS and not any(page.colour[e] for e in drawn)):
+        return
+    fits = [e for e, (found, text) in drawn.items() if wanted <= found and (not words.signs or text in words.signs)]
+    flags[fits, FITS] = 1.0
+    for e, text in enumerate(texts):
+        flags[e, FITS + 1] = e not in drawn and text.number == len(fits)
+
+
 def _extremes(flags: Floats, page: Page, texts: list[Text]) -> None:
     """Marks the least and the greatest of elements that look alike and hold numbers."""
     alike: dict[tuple[str, str], list[int]] = {}
@@ -288,7 +308,9 @@ def _matches(
         # A word of the goal may be said in other words where nothing on the page repeats it.
         unsaid = ~matches[:, TEXT_WORD].any(axis=0)
         top = likeness.max(axis=0)
-        matches[:, LIKEST] = (likeness == top) & (top > LEAST_ALIKE) & unsaid
+        open_words = likeness * unsaid
+        mutual = (open_words == open_words.max(axis=1, keepdims=True)) & (likeness == top)
+        matches[:, LIKEST] = mutual & (top > LEAST_ALIKE) & unsaid
         matches[:, SIMILAR] = (likeness >= ALIKE) & unsaid & ~matches[:, TEXT_WORD]
     named = np.flatnonzero(label != NONE)
     if len(named) and "label" not in OFF:

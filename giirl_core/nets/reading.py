@@ -57,6 +57,9 @@ _NUMBER = re.compile(r"(?<![\w.])-?\d+(?![\d.]*\.\d)")
 _DATE = re.compile(r"\b(\d{1,2})/\d{1,2}/(\d{4})\b")
 _RGB = re.compile(r"rgba?\((\d+), ?(\d+), ?(\d+)")
 _POINTED_AT = re.compile(r"hover|-over$")  # classes of what a mouse happens to be over, which says what a person does next
+DRAWN_WORDS = frozenset({"shape", "letter", "digit", "rectangle", "circle", "triangle"})
+_SIZES = frozenset({"small", "large"})
+SMALL_PX = 15.0  # a drawing less high is small
 _NAMED = {
     "aqua": (0, 255, 255),
     "black": (0, 0, 0),
@@ -81,6 +84,7 @@ _NAMED = {
     "white": (255, 255, 255),
     "yellow": (255, 255, 0),
 }
+COLOURS = frozenset(_NAMED)
 _HUES = ("red", "orange", "yellow", "green", "green", "green", "cyan", "cyan", "blue", "purple", "magenta", "pink")
 
 
@@ -123,6 +127,8 @@ class GoalText:
     numbers: Floats  # [GOAL_NUMBERS] nan beyond them
     prefixes: tuple[str, ...]  # quoted words, in lower case
     month: tuple[int, int] | None  # year and month of a date
+    described: frozenset[str] | None  # words that a drawing must fit, None where the goal describes none
+    signs: frozenset[str]  # and the letters or digits that it must be
 
 
 @functools.lru_cache(maxsize=1 << 16)
@@ -199,6 +205,8 @@ def read_goal(goal: Goal, vectors: Vectors) -> GoalText:
         units=units.astype(np.float32),
         numbers=numbers,
         month=_month_of(goal.utterance),
+        described=_described(folded),
+        signs=frozenset(_sign(word) for word in tokens[2:] if _sign(word) and (word != "a" or tokens[-1] == word)),
         prefixes=tuple(word for word, inside in zip(folded, quoted, strict=True) if inside and word.isalnum()),
     )
 
@@ -242,6 +250,36 @@ def _number_of(text: str, folded: tuple[str, ...]) -> float:
     if len(folded) == 1 and folded[0] in MONTHS:
         return 1.0 + MONTHS.index(folded[0])
     return np.nan
+
+
+def _described(folded: tuple[str, ...]) -> frozenset[str] | None:
+    """The words of a goal that describe drawings: their sizes, colours and shapes, in the singular."""
+    words = {_singular(word) for word in folded}
+    if not words & (DRAWN_WORDS | {"item"} | _SIZES) and not words & _NAMED.keys():
+        return None
+    return frozenset(words & (DRAWN_WORDS | _SIZES | _NAMED.keys()))
+
+
+def _singular(word: str) -> str:
+    return word[:-1] if len(word) > 1 and word.endswith("s") else word
+
+
+def _sign(word: str) -> str:
+    """The letter or digit in "9s" or "K", "" for other words."""
+    single = _singular(word)
+    return single if len(single) == 1 and single.isalnum() else ""
+
+
+def described_as(tag: str, colour: str, shape: str, text: str, height: float) -> frozenset[str]:
+    """The words that describe a drawing, none for other elements."""
+    if tag != "text" and not shape:
+        return frozenset()
+    words = {"small" if height < SMALL_PX else "large", *_colour_words(_colour_of(colour))}
+    if tag == "text":
+        words.add("digit" if text.isdigit() else "letter")
+    else:
+        words |= {"shape", shape.split()[0]}
+    return frozenset(words)
 
 
 def _month_of(utterance: str) -> tuple[int, int] | None:

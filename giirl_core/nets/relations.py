@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from giirl_core.types import Page
 
 TREE = 11  # kinds of relation in the tree
-SCREEN = 6  # kinds of relation on the screen
+SCREEN = 8  # kinds of relation on the screen
 RELATIONS = TREE * SCREEN
 NONE = -1
 FIELD_TAGS = ("input_", "textarea", "select")
 LABEL_DISTANCE = 5  # steps through the tree from a field to its label at most
 OVERLAP = 0.6  # share of two sizes by which centres may differ in one line or column
+SLANT = 0.1  # share by which a way across and one down may differ on a diagonal
 # From (level, upright, to the left, above) to over it, left, right, above, below, elsewhere.
 _SCREENS = np.array(
     [0 if n & 12 == 12 else 1 + (not n & 2) if n & 8 else 3 + (not n & 1) if n & 4 else 5 for n in range(16)], np.uint8
@@ -58,8 +59,11 @@ def structure_of(page: Page) -> Structure:
     aside, apart = np.abs(across), np.abs(down)
     code = (apart < high * OVERLAP) * np.uint8(8) + (aside < wide * OVERLAP) * np.uint8(4)
     code += (across < 0) * np.uint8(2) + (down < 0) * np.uint8(1)
+    screen = _SCREENS[code]
+    slanted = (np.abs(aside - apart) < SLANT * np.maximum(aside, apart)) & (screen == 5)
+    screen[slanted & (across * down > 0)], screen[slanted & (across * down < 0)] = 6, 7
     return Structure(
-        relations=tree + _SCREENS[code],
+        relations=tree + screen,
         label=_labels(page, distance, aside - wide, apart - high, down),
         group=group,
         rank=rank,
