@@ -77,6 +77,7 @@ class Batch:
     element_tag: Tensor  # [N] int64
     element_classes: Tensor  # [N, CLASS_SLOTS] int64
     element_flags: Tensor  # [N, ELEMENT_FLAGS]
+    element_group: Tensor  # [N] int64, the flat row of the ancestor that repeats, or its own
     element_page: Tensor  # [N] int64, the page that a row belongs to
     match_row: Tensor  # [K] int64, the flat row of the element
     match_token: Tensor  # [K] int64, MATCH_KINDS * flat row of the token + kind
@@ -161,6 +162,8 @@ def collate(rows: Sequence[Features]) -> Batch:
     ids = _scatter([row.element_ids for row in rows], at, count, ELEMENT_IDS)
     page = np.zeros(count, dtype=np.int64)
     page[at] = np.repeat(np.arange(len(rows)), sizes)
+    group = np.arange(count)
+    group[at] = np.repeat(first_row, sizes) + np.concatenate([row.group for row in rows])
     found = np.array([len(row.match_ids) for row in rows])
     element, kind, token = np.concatenate([row.match_ids for row in rows]).astype(np.int64).T
     row = np.minimum(first_row[:, None] + np.arange(max(1, int(sizes.max()))), count - 1)
@@ -178,6 +181,7 @@ def collate(rows: Sequence[Features]) -> Batch:
         "element_tag": ids[:, TAG].astype(np.int64),
         "element_classes": ids[:, CLASS].astype(np.int64),
         "element_flags": _scatter([row.element_flags for row in rows], at, count, ELEMENT_FLAGS),
+        "element_group": group,
         "element_page": page,
         "match_row": np.repeat(first_row, found) + element,
         "match_token": (np.repeat(first_token, found) + token) * MATCH_KINDS + kind,

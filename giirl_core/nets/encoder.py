@@ -28,6 +28,7 @@ from giirl_core.nets.language import PADDING, Vectors
 MASKED_LOGIT = -1e9  # of what may not be chosen
 ADJACENT_PX = 4.0  # at this distance an adjacent element counts 1 / e
 LAYERS = int(os.environ.get("READER_LAYERS", "1"))
+POOL = os.environ.get("READER_POOL", "1") == "1"
 NORM = os.environ.get("READER_NORM", "") == "1"
 LINES_APART = 3.0  # a vertical pixel counts as so many horizontal ones
 
@@ -82,6 +83,7 @@ class Encoder(nn.Module):
         self.align = nn.Linear(width, width)
         self.aligned = nn.Linear(2 * width, width)
         self.neighbours = Attention(width)
+        self.grouped = nn.Linear(width, width) if POOL else None
         self.more = nn.ModuleList(Attention(width) for _ in range(LAYERS - 1))
         self.beside = nn.Linear(width, width) if config.adjacent_elements else None
         self.goal_pool = nn.Linear(width, 1)
@@ -114,6 +116,10 @@ class Encoder(nn.Module):
         alignment = self._alignment(batch, hidden, tokens)
         hidden = hidden + torch.relu(self.aligned(torch.cat([hidden, alignment], dim=1)))
         out: Tensor = hidden + self.neighbours(hidden, batch) if self.config.element_attention else hidden
+        if self.grouped is not None:
+            place = batch.element_group.unsqueeze(1).expand_as(hidden)
+            peak = torch.zeros_like(hidden).scatter_reduce(0, place, hidden, "amax", include_self=False)
+            out = out + torch.relu(self.grouped(functional.embedding(batch.element_group, peak)))
         for layer in self.more:
             out = out + layer(out, batch)
         if self.beside is not None:

@@ -72,7 +72,8 @@ EQUAL, SIGN, DISTANCE, CYCLIC, DONE_EQUAL, DONE_SIGN, WANTED, PER_NUMBER = range
 LEAST, MOST = NUMBERS + 2 + PER_NUMBER * GOAL_NUMBERS, NUMBERS + 3 + PER_NUMBER * GOAL_NUMBERS
 CALENDAR = NUMBERS + 4 + PER_NUMBER * GOAL_NUMBERS  # the page shows a month; it is the goal's; goal's is later, or earlier
 FITS = NUMBERS + 8 + PER_NUMBER * GOAL_NUMBERS  # a drawing is as described; so many are as the element's number says
-ELEMENT_FLAGS = NUMBERS + 10 + PER_NUMBER * GOAL_NUMBERS
+PEER = NUMBERS + 10 + PER_NUMBER * GOAL_NUMBERS  # agrees with the goal as what was acted on, and was not; the page has one
+ELEMENT_FLAGS = NUMBERS + 12 + PER_NUMBER * GOAL_NUMBERS
 # Columns of Features.token_ids and Features.token_flags.
 WORD, OPEN, TOKEN_IDS = 0, 1, 2
 TOKEN_OVERLAP = slice(3, 11)  # 5 is whether it is quoted
@@ -86,6 +87,7 @@ class Features:
     token_flags: Floats  # [L, TOKEN_FLAGS]
     element_ids: Ids  # [E, ELEMENT_IDS] rows of the word vectors, tag, classes, clickable, typable
     element_flags: Floats  # [E, ELEMENT_FLAGS]
+    group: NDArray[np.int64]  # [E] row of the ancestor that repeats, as a row of a table does; the element's own if none
     relations: NDArray[np.uint8]  # [E, E] what each column is to a row
     match_ids: Ids  # [K, 3] element, kind, token: where the goal says the same as an element
     match_weights: Floats  # [K] sum to 1 over the tokens of one element and kind
@@ -127,6 +129,7 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
     matches, likeness = _matches(page, texts, values, words, ids, folded, kinds, structure.label, structure.group, flags, vectors)
     flags[:, 28 : 28 + MATCH_KINDS] = matches.any(axis=2)
     flags[:, 28 + MATCH_KINDS : 28 + 2 * MATCH_KINDS] = (matches & words.quoted).any(axis=2)
+    _peers(flags, page, matches, leaf)
     token_flags, on_page = words.flags.copy(), matches[:, TEXT_WORD].any(axis=0)
     token_flags[:, 3], token_flags[:, 4] = on_page, matches[:, VALUE_RUN].any(axis=0)
     token_flags[:, 6:11] = matches[:, [TEXT_RUN, KIND_WORD, LABEL_WORD, GROUP_RUN, SIMILAR]].any(axis=0).T
@@ -138,6 +141,7 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
         token_flags=token_flags,
         element_ids=ids,
         element_flags=flags,
+        group=np.where(structure.group == NONE, np.arange(count), structure.group),
         relations=structure.relations,
         match_ids=np.stack([elements, kind, tokens], axis=1).astype(np.int32),
         match_weights=weight.astype(np.float32),
@@ -202,6 +206,22 @@ def _numbers(flags: Floats, page: Page, texts: list[Text], values: dict[int, Tex
         flags[:, at + CYCLIC] = (wanted - rank) % alike == 0
         flags[:, at + DONE_EQUAL], flags[:, at + DONE_SIGN] = done == wanted, np.sign(wanted - done)
         flags[:, at + WANTED] = min(max(wanted, -20), 40) / 10
+
+
+def _peers(flags: Floats, page: Page, matches: NDArray[np.bool_], leaf: NDArray[np.bool_]) -> None:
+    """Marks what looks like an element acted on before, and repeats the same words of the goal, but was not acted on."""
+    done = np.flatnonzero(page.tampered & leaf)
+    if not len(done) or "peers" in OFF:
+        return
+    said = matches[:, [TEXT_RUN, KIND_WORD, LABEL_RUN, GROUP_RUN]].any(axis=1)
+
+    def signature(e: int) -> tuple[str, str, bytes]:
+        return page.tag[e], page.classes[e].split(" ", 1)[0], said[e].tobytes()
+
+    wanted = {signature(e) for e in done.tolist() if said[e].any()}
+    peers = [e for e in np.flatnonzero(leaf & ~page.tampered).tolist() if signature(e) in wanted]
+    flags[peers, PEER] = 1.0
+    flags[:, PEER + 1] = len(peers) > 0
 
 
 def _calendar(flags: Floats, page: Page, words: GoalText) -> None:
