@@ -224,6 +224,7 @@ def train(
     torch.manual_seed(seed)
     generator, rng = torch.Generator().manual_seed(seed), np.random.default_rng(seed)
     net = PolicyNet(load_vectors(config.net.vectors), config.net)
+    net.train()
     cloner = Cloner(config.cloning, net, generator, metrics=Metrics())
     smooth = copy.deepcopy(net)
     by_task: dict[str, list[Example]] = defaultdict(list)

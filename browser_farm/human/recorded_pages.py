@@ -6,11 +6,13 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from giirl_core.types import Page
 
 MAX_ROWS = 5_000  # recorded pages have at most 127 nodes; Page.parent is int16
 MAX_DEPTH = 100  # recorded pages nest about ten deep; the limit keeps hostile files from overflowing the stack
+SCROLLED_PX = 8.0  # content that begins this far above its container is scrolled
 MAX_NUMBER = 1e6
 # Elements that are left out with everything in them.
 HIDDEN_TAGS = frozenset({"br", "script", "style", "head", "link", "meta", "title", "template", "noscript"})
@@ -64,10 +66,25 @@ class Screen:
             shape=tuple(SHAPES.get(node.tag, "") for node in nodes),
             ref=np.array([node.ref for node in nodes], dtype=np.int32),
             parent=np.array(self.parents, dtype=np.int16),
-            box=np.array([node.box for node in nodes], dtype=np.float32).reshape(len(nodes), 4),
+            box=self._unscrolled(),
             focused=np.array([node.focused for node in nodes], dtype=np.bool_),
             tampered=np.array([node.ref in tampered for node in nodes], dtype=np.bool_),
         )
+
+    def _unscrolled(self) -> NDArray[np.float32]:
+        """[E, 4] boxes as they are before anybody scrolls: a person scrolls to what is clicked next, a policy does not."""
+        boxes = np.array([node.box for node in self.nodes], dtype=np.float32).reshape(len(self.nodes), 4)
+        shift = np.zeros(len(boxes), dtype=np.float32)
+        inside: dict[int, float] = {}  # row -> how far its children are scrolled up
+        for row, parent in enumerate(self.parents):
+            if parent < 0:
+                continue
+            if parent not in inside:  # this is its first child
+                inside[parent] = max(0.0, float(boxes[parent, 1] - boxes[row, 1]))
+                inside[parent] = inside[parent] if inside[parent] > SCROLLED_PX else 0.0
+            shift[row] = shift[parent] + inside[parent]
+        boxes[:, 1] += shift
+        return boxes
 
     def same_except_focus(self, other: Screen, *, compare_boxes: bool = True) -> bool:
         """Whether two pages are equal except for the focus, and except for positions if compare_boxes=False."""
