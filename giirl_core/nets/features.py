@@ -137,7 +137,7 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
     weight = 1.0 / matches.sum(axis=2)[elements, kind]
     del likeness
     return Features(
-        token_ids=np.stack([words.rows, words.quoted | on_page], axis=1, dtype=np.int32),
+        token_ids=np.stack([words.rows, words.quoted | on_page | matches[:, LIKEST].any(axis=0)], axis=1, dtype=np.int32),
         token_flags=token_flags,
         element_ids=ids,
         element_flags=flags,
