@@ -95,7 +95,11 @@ def accepted(trajectory: Trajectory, t: int, guess: Action) -> bool:
     a, b = guess.element, done.element
     if control(page, a) == control(page, b) or (_look(page, a) == _look(page, b) and page.text[a]):
         typed, wanted = guess.text(goal), done.text(goal)
-        longer = trajectory.task == "book-flight-nodelay" and typed and (typed.startswith(wanted) or wanted.startswith(typed))
+        longer = (
+            trajectory.task == "book-flight-nodelay"
+            and typed
+            and (typed.startswith(wanted) or wanted.startswith(typed))
+        )
         return typed == wanted or bool(longer)  # a list offers the same towns for a part of a name
     if trajectory.task == "click-shape":
         return _fits_alike(page, a, b, set(goal.tokens))
@@ -106,7 +110,11 @@ def accepted(trajectory: Trajectory, t: int, guess: Action) -> bool:
     if trajectory.task == "use-autocomplete-nodelay" and "ends" not in goal.tokens:
         return _look(page, a)[0] == _look(page, b)[0] and page.text[a][:2].lower() == page.text[b][:2].lower()
     if page.classes[a] == page.classes[b] == "page-link" and page.text[a] == ">":
-        active = [int(t) for t, r in zip(page.text, page.parent, strict=True) if r >= 0 and "active" in page.classes[r] and t.isdigit()]
+        active = [
+            int(t)
+            for t, r in zip(page.text, page.parent, strict=True)
+            if r >= 0 and "active" in page.classes[r] and t.isdigit()
+        ]
         return page.text[b].isdigit() and bool(active) and int(page.text[b]) > active[0]
     if page.classes[a].startswith("email-") and page.parent[a] == page.parent[b]:
         return True  # any part of a message opens it
@@ -131,7 +139,12 @@ def accepted(trajectory: Trajectory, t: int, guess: Action) -> bool:
 
 def _fits_alike(page: Page, a: int, b: int, words: set[str]) -> bool:
     """Whether two drawings fit the same words of an instruction that names no colour (recordings lack it)."""
-    if words & {"red", "green", "blue", "aqua", "black", "magenta", "yellow"} or not words & {"item", "shape", "letter", "digit"}:
+    if words & {"red", "green", "blue", "aqua", "black", "magenta", "yellow"} or not words & {
+        "item",
+        "shape",
+        "letter",
+        "digit",
+    }:
         return False
     kinds = [_drawn(page, row) for row in (a, b)]
     if not words & {"item"} and kinds[0] != kinds[1]:
@@ -209,12 +222,16 @@ def score(examples: Sequence[Example], guesses: Sequence[Sequence[Action]]) -> d
             lenient.append(strict[-1] or accepted(trajectory, t, guess))
         counts[trajectory.task].append((float(np.mean(strict)), float(np.mean(lenient)), float(all(lenient))))
     names = ("strict", "lenient", "episode")
-    return {task: dict(zip(names, np.mean(rows, axis=0).round(4).tolist(), strict=True)) for task, rows in counts.items()}
+    return {
+        task: dict(zip(names, np.mean(rows, axis=0).round(4).tolist(), strict=True)) for task, rows in counts.items()
+    }
 
 
 def mean(scores: dict[str, dict[str, float]]) -> dict[str, float]:
     """Over tasks."""
-    return {name: round(float(np.mean([s[name] for s in scores.values()])), 4) for name in ("strict", "lenient", "episode")}
+    return {
+        name: round(float(np.mean([s[name] for s in scores.values()])), 4) for name in ("strict", "lenient", "episode")
+    }
 
 
 def train(
@@ -268,7 +285,9 @@ def main() -> None:
     torch.set_num_threads(1)
     config = replace(Config(), cloning=CloningConfig(learning_rate=options.rate))
     began = time.process_time()
-    learned, held_out = split([t for t in load(options.demos, options.cache) if not options.tasks or t.task in options.tasks])
+    learned, held_out = split(
+        [t for t in load(options.demos, options.cache) if not options.tasks or t.task in options.tasks]
+    )
     vectors = load_vectors(config.net.vectors)
     examples = [featurise_trajectory(t, vectors) for t in learned]
     tested = [featurise_trajectory(t, vectors) for t in held_out]
@@ -327,7 +346,9 @@ def play_tasks(config: Config, net: PolicyNet, tasks: Sequence[str], episodes: i
     return {task: count / episodes for task, count in successes.items()}
 
 
-def print_mistakes(examples: Sequence[Example], guesses: Sequence[Sequence[Action]], tasks: Sequence[str], most: int) -> None:
+def print_mistakes(
+    examples: Sequence[Example], guesses: Sequence[Sequence[Action]], tasks: Sequence[str], most: int
+) -> None:
     """Some wrong guesses of some tasks, as lines."""
     shown: dict[str, int] = defaultdict(int)
     for example, some in zip(examples, guesses, strict=True):

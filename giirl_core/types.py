@@ -104,7 +104,19 @@ class Page:
         rows = len(self.tag)
         for name in ("colour", "shape", "attributes"):  # most pages have no shapes: () stands for a column of ""
             object.__setattr__(self, name, getattr(self, name) or ("",) * rows)
-        for name in ("text", "value", "classes", "ref", "parent", "box", "focused", "tampered", "colour", "shape", "attributes"):
+        for name in (
+            "text",
+            "value",
+            "classes",
+            "ref",
+            "parent",
+            "box",
+            "focused",
+            "tampered",
+            "colour",
+            "shape",
+            "attributes",
+        ):
             if len(getattr(self, name)) != rows:
                 raise ValueError(f"Page.{name} has {len(getattr(self, name))} rows, Page.tag has {rows}")
         if self.box.shape != (rows, 4):
@@ -301,8 +313,14 @@ def _check_sampled(sampled: SampledActions, pages: Sequence[Page], goal: Goal) -
     sizes = np.array([[len(page)] for page in pages])
     typed = verb == Verb.TYPE
     words = len(goal.tokens)
-    legal = (element >= 0) & (element < sizes) & np.where(
-        typed, (start >= 0) & (start <= end) & (end < words), (verb == Verb.CLICK) & (start == NO_SPAN) & (end == NO_SPAN)
+    legal = (
+        (element >= 0)
+        & (element < sizes)
+        & np.where(
+            typed,
+            (start >= 0) & (start <= end) & (end < words),
+            (verb == Verb.CLICK) & (start == NO_SPAN) & (end == NO_SPAN),
+        )
     )
     if not legal.all():
         t, m = (int(place) for place in np.argwhere(~legal)[0])

@@ -36,7 +36,7 @@ from giirl_core.types import NO_SPAN, Action, Trajectory, Verb
 
 SPARE_ROWS = 32  # of padding that a block may hold beside a tenth of its rows: another block would cost more
 SHARED = os.environ.get("READER_SHARED", "1") == "1"
-DROP = float(os.environ.get("READER_DROP", "0"))
+DROP = float(os.environ.get("READER_DROP", "0.2"))
 COMMON_WORDS = 4000  # renamed words come from this many of the commonest, whatever the table
 
 
@@ -325,9 +325,7 @@ def without_overlap(batch: Batch) -> Batch:
     tokens, elements = batch.token_flags.clone(), batch.element_flags.clone()
     tokens[:, TOKEN_OVERLAP] = 0.0
     elements[:, ELEMENT_OVERLAP] = 0.0
-    return replace(
-        batch, token_flags=tokens, element_flags=elements, match_weight=torch.zeros_like(batch.match_weight)
-    )
+    return replace(batch, token_flags=tokens, element_flags=elements, match_weight=torch.zeros_like(batch.match_weight))
 
 
 def _other(words: Tensor, salt: Tensor) -> Tensor:

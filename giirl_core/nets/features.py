@@ -70,9 +70,13 @@ FOLDED, SHARE, PREFIX, LIKENESS, BEST, LABEL_LIKENESS, GROUPED, RANK_IS_NUMBER, 
 NUMBERS = ELEMENT_OVERLAP.stop  # any, its size; then for each number of the goal: PER_NUMBER of
 EQUAL, SIGN, DISTANCE, CYCLIC, DONE_EQUAL, DONE_SIGN, WANTED, PER_NUMBER = range(8)
 LEAST, MOST = NUMBERS + 2 + PER_NUMBER * GOAL_NUMBERS, NUMBERS + 3 + PER_NUMBER * GOAL_NUMBERS
-CALENDAR = NUMBERS + 4 + PER_NUMBER * GOAL_NUMBERS  # the page shows a month; it is the goal's; goal's is later, or earlier
+CALENDAR = (
+    NUMBERS + 4 + PER_NUMBER * GOAL_NUMBERS
+)  # the page shows a month; it is the goal's; goal's is later, or earlier
 FITS = NUMBERS + 8 + PER_NUMBER * GOAL_NUMBERS  # a drawing is as described; so many are as the element's number says
-PEER = NUMBERS + 10 + PER_NUMBER * GOAL_NUMBERS  # agrees with the goal as what was acted on, and was not; the page has one
+PEER = (
+    NUMBERS + 10 + PER_NUMBER * GOAL_NUMBERS
+)  # agrees with the goal as what was acted on, and was not; the page has one
 ELEMENT_FLAGS = NUMBERS + 12 + PER_NUMBER * GOAL_NUMBERS
 # Columns of Features.token_ids and Features.token_flags.
 WORD, OPEN, TOKEN_IDS = 0, 1, 2
@@ -87,7 +91,9 @@ class Features:
     token_flags: Floats  # [L, TOKEN_FLAGS]
     element_ids: Ids  # [E, ELEMENT_IDS] rows of the word vectors, tag, classes, clickable, typable
     element_flags: Floats  # [E, ELEMENT_FLAGS]
-    group: NDArray[np.int64]  # [E] row of the ancestor that repeats, as a row of a table does; the element's own if none
+    group: NDArray[
+        np.int64
+    ]  # [E] row of the ancestor that repeats, as a row of a table does; the element's own if none
     relations: NDArray[np.uint8]  # [E, E] what each column is to a row
     match_ids: Ids  # [K, 3] element, kind, token: where the goal says the same as an element
     match_weights: Floats  # [K] sum to 1 over the tokens of one element and kind
@@ -102,7 +108,9 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
     ids, folded, kinds, what = _ids(page, texts, values, vectors)
     if "labelwords" not in OFF:
         for e in np.flatnonzero(structure.label != NONE).tolist():
-            if not texts[e].exact and not (e in values and page.tag[e] != "input_checkbox" and page.tag[e] != "input_radio"):
+            if not texts[e].exact and not (
+                e in values and page.tag[e] != "input_checkbox" and page.tag[e] != "input_radio"
+            ):
                 ids[e, ELEMENT_WORDS] = texts[structure.label[e]].rows
     leaf, typable = page.leaf, page.typable
     ids[:, CLICKABLE], ids[:, TYPABLE] = leaf, typable
@@ -126,7 +134,9 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
         _extremes(flags, page, texts)
         _calendar(flags, page, words)
         _drawings(flags, page, texts, words)
-    matches, likeness = _matches(page, texts, values, words, ids, folded, kinds, structure.label, structure.group, flags, vectors)
+    matches, likeness = _matches(
+        page, texts, values, words, ids, folded, kinds, structure.label, structure.group, flags, vectors
+    )
     flags[:, 28 : 28 + MATCH_KINDS] = matches.any(axis=2)
     flags[:, 28 + MATCH_KINDS : 28 + 2 * MATCH_KINDS] = (matches & words.quoted).any(axis=2)
     _peers(flags, page, matches, leaf)
@@ -137,7 +147,9 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
     weight = 1.0 / matches.sum(axis=2)[elements, kind]
     del likeness
     return Features(
-        token_ids=np.stack([words.rows, words.quoted | on_page | matches[:, LIKEST].any(axis=0)], axis=1, dtype=np.int32),
+        token_ids=np.stack(
+            [words.rows, words.quoted | on_page | matches[:, LIKEST].any(axis=0)], axis=1, dtype=np.int32
+        ),
         token_flags=token_flags,
         element_ids=ids,
         element_flags=flags,
@@ -184,7 +196,15 @@ def _ranks(flags: Floats, rank: NDArray[np.int64], alike: NDArray[np.int64], wor
     flags[:, RANK_IS_NUMBER] = (rank[:, None] == words.numbers).any(axis=1)
 
 
-def _numbers(flags: Floats, page: Page, texts: list[Text], values: dict[int, Text], words: GoalText, rank: NDArray[np.int64], alike: NDArray[np.int64]) -> None:
+def _numbers(
+    flags: Floats,
+    page: Page,
+    texts: list[Text],
+    values: dict[int, Text],
+    words: GoalText,
+    rank: NDArray[np.int64],
+    alike: NDArray[np.int64],
+) -> None:
     if "number" in OFF:
         return
     number = np.array([text.number for text in texts], dtype=np.float32)
@@ -243,8 +263,11 @@ def _drawings(flags: Floats, page: Page, texts: list[Text], words: GoalText) -> 
         return
     wanted = words.described or frozenset()
     columns = zip(page.tag, page.colour, page.shape, page.text, page.box[:, 3].tolist(), strict=True)
-    drawn = {e: (described_as(tag, colour, shape, text, height), text)
-             for e, (tag, colour, shape, text, height) in enumerate(columns) if tag == "text" or shape}
+    drawn = {
+        e: (described_as(tag, colour, shape, text, height), text)
+        for e, (tag, colour, shape, text, height) in enumerate(columns)
+        if tag == "text" or shape
+    }
     if not drawn or (wanted & COLOURS and not any(page.colour[e] for e in drawn)):
         return
     fits = [e for e, (found, text) in drawn.items() if wanted <= found and (not words.signs or text in words.signs)]

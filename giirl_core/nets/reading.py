@@ -56,7 +56,9 @@ _WORD = re.compile(r"[a-z]+|[A-Z][a-z]*|[^\W\d_]+")
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?![\d.]*\.\d)")
 _DATE = re.compile(r"\b(\d{1,2})/\d{1,2}/(\d{4})\b")
 _RGB = re.compile(r"rgba?\((\d+), ?(\d+), ?(\d+)")
-_POINTED_AT = re.compile(r"hover|-over$")  # classes of what a mouse happens to be over, which says what a person does next
+_POINTED_AT = re.compile(
+    r"hover|-over$"
+)  # classes of what a mouse happens to be over, which says what a person does next
 DRAWN_WORDS = frozenset({"shape", "letter", "digit", "rectangle", "circle", "triangle"})
 _SIZES = frozenset({"small", "large"})
 SMALL_PX = 15.0  # a drawing less high is small
@@ -140,7 +142,9 @@ def read_text(text: str, vectors: Vectors) -> Text:
     rows[: len(words)] = [vectors.row(word) for word in words[:WORDS]]
     read = np.zeros(WORDS, dtype=np.int64)
     read[: len(words)] = hashes_of(folded[:WORDS])
-    return Text(rows=rows, exact=words, folded=folded, read=read, number=_number_of(text, folded), numbers=_numbers_in(text))
+    return Text(
+        rows=rows, exact=words, folded=folded, read=read, number=_number_of(text, folded), numbers=_numbers_in(text)
+    )
 
 
 @functools.lru_cache(maxsize=1 << 14)
