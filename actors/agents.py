@@ -1,4 +1,4 @@
-"""Agents choose actions on pages: the policy net, scripted experts, or uniformly random actions."""
+"""Agents that choose actions on pages: the policy net, the scripted experts, and the random policy."""
 
 from __future__ import annotations
 
@@ -11,22 +11,24 @@ import torch
 from numpy.typing import NDArray
 
 from browser_farm.experts import NoAction
-from giirl_core.nets.batch import collate, join, random_actions
+from giirl_core.nets.action_batch import join, random_actions
+from giirl_core.nets.batch import collate
 from giirl_core.nets.features import featurise
 from giirl_core.nets.language import Vectors
 from giirl_core.nets.models import PolicyNet
 from giirl_core.nets.parameters import load_net
-from giirl_core.types import DEMONSTRATION, Action, Observation, Verb, Weights
+from giirl_core.types import DEMONSTRATION, Action, Observation, Verb
+from giirl_core.weights import Weights
 
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """An action, its log-probability and the version of the policy that chose it."""
+    """The action that an agent takes on one page, and the M sampled actions that it does not take."""
 
     action: Action
-    logp: float  # nats
-    version: int  # learner step of the policy
-    sampled: NDArray[np.int16] | None = None  # [M, 4] further actions for the reward to score, as in SampledActions
+    logp: float  # nats, log-probability of the action
+    version: int  # of the policy: the learner step that produced it
+    sampled: NDArray[np.int16] | None = None  # [M, 4] as SampledActions.choices; None without sampled actions
     sampled_logp: NDArray[np.float32] | None = None  # [M] nats
 
 
@@ -35,22 +37,22 @@ class Agent(Protocol):
 
     @property
     def draws(self) -> int:
-        """Triples of random numbers that it uses for each observation."""
+        """Triples of random numbers that the agent uses for one observation."""
         ...
 
     def select_actions(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]:
         """One decision for each of B observations.
 
-        `uniform` [B, draws, 3] in [0, 1) holds the random numbers for each observation; an agent uses no others.
+        `uniform` [B, draws, 3] in [0, 1) holds all random numbers that the agent may use.
         """
         ...
 
 
 class PolicyAgent:
-    """The policy net. Samples actions, or takes the most likely one if `greedy`.
+    """The policy net. It samples its action, or takes the most probable one if `greedy`.
 
-    On each page it also samples as many actions that are not taken as `sampled_actions` says, half of them its own and
-    half uniform, whose rewards the learner can use as well.
+    On each page it also samples `sampled_actions` actions that are not taken, half from the policy and half uniformly.
+    The reward scores them too, and the learner trains on these scores.
     """
 
     def __init__(
@@ -60,7 +62,7 @@ class PolicyAgent:
         self.draws = 1 + sampled_actions
 
     def load(self, weights: Weights) -> None:
-        """Replace the weights. Raises ValueError if they are older than the current ones, or corrupt."""
+        """Replace the parameters. ValueError if `weights` are older than they are, corrupt or of another net."""
         if weights.version < self.version:
             raise ValueError(f"policy weights have version {weights.version}, wanted {self.version} or later")
         load_net(self.net, weights)
@@ -71,21 +73,19 @@ class PolicyAgent:
         rows = [featurise(observation.page, observation.goal, self.vectors) for observation in observations]
         batch = collate(rows)
         encoding = self.net.encoder(batch)
-        noise, own = torch.from_numpy(uniform), 1 + self.draws // 2
-        actions, logp = self.net.sample(encoding, None if self.greedy else noise[:, :own])
+        noise, by_policy = torch.from_numpy(uniform), 1 + self.draws // 2
+        actions, logp = self.net.sample(encoding, None if self.greedy else noise[:, :by_policy])
         decisions = zip(actions.first(), logp[:, 0].tolist(), strict=True)
         if self.draws == 1:
             return [Decision(action, p, self.version) for action, p in decisions]
-        random = random_actions(batch, noise[:, own:])
-        table = join(actions.columns(1, own), random).table().numpy().astype(np.int16)
+        random = random_actions(batch, noise[:, by_policy:])
+        table = join(actions.columns(1, by_policy), random).table().numpy().astype(np.int16)
         table_logp = torch.cat([logp[:, 1:], self.net.evaluate(encoding, random)[0]], dim=1).numpy()
-        return [
-            Decision(action, p, self.version, table[b], table_logp[b]) for b, (action, p) in enumerate(decisions)
-        ]
+        return [Decision(action, p, self.version, table[b], table_logp[b]) for b, (action, p) in enumerate(decisions)]
 
 
 class ExpertAgent:
-    """A scripted expert for each task. If an expert finds no action, it waits until the step limit ends the episode."""
+    """The scripted expert of each task. If it has no action for a page, it waits until the step limit."""
 
     draws = 1
 
@@ -103,7 +103,7 @@ class ExpertAgent:
 
 
 class RandomAgent:
-    """Uniformly random: click any leaf or type into any field; the typed words are a random span of the goal."""
+    """The random policy: clicks a random leaf, or types a random span of the goal into a random field."""
 
     draws = 1
 

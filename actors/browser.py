@@ -2,25 +2,61 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Mapping
+
 from browser_farm import fake
 from browser_farm import tasks as miniwob
 from browser_farm.fake import FakeFarm
 from browser_farm.farm import ChromeFarm
 from giirl_core.config import Config
 from giirl_core.metrics import Metrics
-from giirl_core.types import Browser
+from giirl_core.types import Browser, Command, EpisodeSpec, Observation, StepResult
 
 
-def open_browser(config: Config, metrics: Metrics) -> Browser:
-    """Start the browser and wait until it is ready. `metrics` counts its restarts by cause."""
+def open_browser(config: Config, metrics: Metrics, *, tabs: int = 0) -> Browser:
+    """Start the browser and wait until it is ready; it has as many tabs as the config says, or `tabs`.
+
+    `metrics` counts its restarts by cause.
+    """
+    tabs = tabs or config.actors.tabs
     if config.browser == "fake":
-        return FakeFarm(tabs=config.actors.tabs)
-    return ChromeFarm(
-        tabs=config.actors.tabs,
-        call_timeout_s=config.actors.call_timeout_s,
-        launch_timeout_s=config.actors.launch_timeout_s,
-        on_restart=lambda cause: metrics.browser_recoveries.labels(cause).inc(),
-    )
+        browser: Browser = FakeFarm(tabs=tabs)
+    else:
+        browser = ChromeFarm(
+            tabs=tabs,
+            call_timeout_s=config.actors.call_timeout_s,
+            launch_timeout_s=config.actors.launch_timeout_s,
+            on_restart=lambda cause: metrics.browser_recoveries.labels(cause).inc(),
+        )
+    return SlowBrowser(browser, config.actors.step_delay_s) if config.actors.step_delay_s else browser
+
+
+class SlowBrowser:
+    """A browser whose steps take at least `delay_s`: simulates an application that responds slowly."""
+
+    def __init__(self, browser: Browser, delay_s: float) -> None:
+        self._browser, self._delay_s = browser, delay_s
+        self.tabs = browser.tabs
+
+    def reset(self, episodes: Mapping[int, EpisodeSpec]) -> dict[int, Observation]:
+        """Open episodes, without a delay."""
+        return self._browser.reset(episodes)
+
+    def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]:
+        """One step of every tab; all respond at the same time."""
+        since_s = time.monotonic()
+        results = self._browser.step(commands)
+        time.sleep(max(0.0, self._delay_s - (time.monotonic() - since_s)))
+        return results
+
+    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
+        """A screenshot, without a delay."""
+        return self._browser.picture(tab, box, scale=scale)
+
+    def close(self) -> None:
+        """Close the browser."""
+        self._browser.close()
 
 
 def check_tasks(config: Config) -> None:

@@ -11,13 +11,15 @@ from actors.agents import PolicyAgent
 from actors.browser import open_browser
 from actors.episode_counter import EpisodeCounter
 from actors.rollouts import Schedule
-from actors.uplink import Uplink, UplinkLimits
+from actors.uplink import Uplink
 from actors.worker import Orphaned, Worker, WorkerLimits
+from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import MAX_ACTORS
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.reward import build_policy
 from giirl_core.processes.worker_process import ORPHAN_TIMEOUT_S, TICK_S, WorkerProcess
-from giirl_core.types import Purpose, Weights
+from giirl_core.types import Purpose
+from giirl_core.weights import Weights
 from giirl_core.wire.score_client import ScoreClient
 from giirl_core.wire.transport import Keys
 
@@ -51,7 +53,7 @@ class ActorProcess(WorkerProcess):
         with ExitStack() as resources:
             counter = EpisodeCounter(self._counter_file, incarnation)
             resources.callback(counter.close)
-            browser = open_browser(config, metrics)
+            browser = open_browser(config, metrics, tabs=config.open_pages)
             resources.callback(browser.close)
             uplink = Uplink(
                 learner,
@@ -59,19 +61,24 @@ class ActorProcess(WorkerProcess):
                 actor=name,
                 incarnation=incarnation,
                 counter=counter,
-                limits=UplinkLimits(max_unacked=config.stream.credits),
                 keys=self._keys,
             )
             resources.callback(uplink.close)
-            client = ScoreClient(
-                self._scorers or scorers,
-                identity=f"{name}#{incarnation}",
-                timeout_s=config.actors.score_timeout_s,
-                keys=self._keys,
-            )
-            resources.callback(client.close)
+            client = None
+            if ALGORITHMS[config.algorithm].has_learned_reward:
+                client = ScoreClient(
+                    self._scorers or scorers,
+                    identity=f"{name}#{incarnation}",
+                    timeout_s=config.actors.score_timeout_s,
+                    retries=1,
+                    keys=self._keys,
+                )
+                resources.callback(client.close)
             limits = WorkerLimits(
-                step_limit=config.step_limit, lock_step=config.stream.policy_lag == 0, orphan_timeout_s=ORPHAN_TIMEOUT_S
+                step_limit=config.step_limit,
+                lock_step=config.stream.policy_lag == 0,
+                max_playing=config.actors.tabs,
+                orphan_timeout_s=ORPHAN_TIMEOUT_S,
             )
             schedule = self._lock_step(browser.tabs) if limits.lock_step else self._endless(browser.tabs, first)
             worker = Worker(browser, agent, schedule, client, uplink, limits=limits, metrics=metrics)

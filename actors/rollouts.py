@@ -1,16 +1,19 @@
-"""Plays episodes in all tabs of a browser at once, with one batch of actions and one browser call per round."""
+"""Plays episodes in all tabs of a browser in parallel. A round is one batch of actions and one browser call."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from actors.agents import Agent, Decision
+from giirl_core.config import Config
 from giirl_core.metrics import Metrics, waiting
+from giirl_core.progress import Job
+from giirl_core.sampled_actions import SampledActions
 from giirl_core.types import (
     Action,
     Browser,
@@ -21,7 +24,6 @@ from giirl_core.types import (
     Outcome,
     Page,
     Purpose,
-    SampledActions,
     Trajectory,
     Verb,
     page_seed,
@@ -29,14 +31,14 @@ from giirl_core.types import (
 
 
 class Schedule:
-    """Decides which episode each tab plays next. Each tab has a fixed set of tasks; tasks share the tabs equally.
+    """Decides which episode each tab plays next. Each tab has a fixed set of tasks, and tasks share the tabs equally.
 
     Episode `i` of a task has seed `page_seed(purpose, run_seed, first + i * stride)`. With a `quota`, each task is
     played that many times; without one the schedule never ends.
     """
 
-    EPISODES_PER_TURN = 10  # that a tab plays of one task before it opens the next, when there are more tasks than tabs
-    MAX_LOSSES = 3  # of one episode, after which it is not played again
+    EPISODES_PER_TURN = 10  # of one task before a tab changes to its next one, if there are more tasks than tabs
+    MAX_LOSSES = 3  # an episode that was lost this often is not played again
 
     def __init__(
         self,
@@ -54,7 +56,7 @@ class Schedule:
         ]
         self._purpose, self._run_seed, self._first, self._stride = purpose, run_seed, first, stride
         self._quota = quota
-        self._started = dict.fromkeys(tasks, 0)  # episodes of each task
+        self._started = dict.fromkeys(tasks, 0)  # number of episodes of each task
         self._started_by_tab = [0] * tabs
         self._requeued: list[EpisodeSpec] = []
         self._losses: Counter[EpisodeSpec] = Counter()
@@ -76,7 +78,7 @@ class Schedule:
         return EpisodeSpec(task=task, seed=page_seed(self._purpose, self._run_seed, index))
 
     def requeue(self, spec: EpisodeSpec) -> None:
-        """Play a lost episode again, unless it was lost MAX_LOSSES times: some pages break every browser."""
+        """Play a lost episode again, unless it was lost MAX_LOSSES times, because some pages break every browser."""
         self._losses[spec] += 1
         if self._losses[spec] < self.MAX_LOSSES:
             self._requeued.append(spec)
@@ -97,43 +99,112 @@ class Slot:
     version: int | None = None  # of the policy at the first step
 
 
-def play(
-    browser: Browser, agent: Agent, schedule: Schedule, *, step_limit: int, metrics: Metrics
-) -> Iterator[list[Episode]]:
-    """Play until the schedule ends. After every round, yields the episodes that ended in it, often none.
+Gate = Callable[[int], int]  # from the number of unfinished episodes to the number of episodes that may start
 
-    The random numbers of an episode depend only on its seed, not on its tab, the other tabs or the actor.
+
+def always_open(playing: int) -> int:
+    """The gate without a limit."""
+    return 1 << 30
+
+
+def play(
+    browser: Browser,
+    agent: Agent,
+    schedule: Schedule,
+    *,
+    step_limit: int,
+    metrics: Metrics,
+    gate: Gate = always_open,
+) -> Iterator[list[Episode]]:
+    """Play until the schedule ends. After each round, yields the episodes that ended in it, often none.
+
+    A tab stays idle while `gate` does not let its next episode start. The random numbers of an episode depend only on
+    its seed, not on its tab, the other tabs or the actor.
     """
-    first = {tab: spec for tab in range(browser.tabs) if (spec := schedule.next(tab)) is not None}
-    slots = {tab: _open(observation, schedule, tab) for tab, observation in browser.reset(first).items()}
-    while slots:
-        commands = _commands(slots, agent, step_limit)
-        with waiting(metrics, "browser"):
-            results = browser.step(commands)
-        ended: list[Episode] = []
-        for tab, result in results.items():
-            slot = slots[tab]
-            metrics.env_steps.inc()
-            if result.lost:
-                metrics.episodes.labels(slot.observation.episode.task, "lost").inc()
-                schedule.requeue(slot.observation.episode)
-            elif not slot.pages:
-                metrics.episodes.labels(slot.observation.episode.task, "empty_page").inc()
-            elif result.done or commands[tab].last:
-                episode = _close(slot, Outcome(raw_reward=result.raw_reward, ended=result.done))
-                metrics.episodes.labels(episode.trajectory.task, _outcome_name(episode.outcome)).inc()
-                ended.append(episode)
-            else:
-                assert result.observation is not None
-                slot.observation = result.observation
-                continue
-            del slots[tab]
-            if result.observation is not None:
-                slots[tab] = _open(result.observation, schedule, tab)
-        yield ended
-        if not slots:  # episodes lost in the last round are played again
-            again = {tab: spec for tab in range(browser.tabs) if (spec := schedule.next(tab)) is not None}
-            slots = {tab: _open(observation, schedule, tab) for tab, observation in browser.reset(again).items()}
+    slots: dict[int, Slot] = {}
+    waiting_tabs = {tab: spec for tab in range(browser.tabs) if (spec := schedule.next(tab)) is not None}
+    while True:
+        starting = dict(list(waiting_tabs.items())[: max(0, gate(len(slots)))])
+        for tab in starting:
+            del waiting_tabs[tab]
+        for tab, observation in (browser.reset(starting) if starting else {}).items():
+            slots[tab] = _open(observation, schedule, tab)
+        if slots:
+            yield from _play_round(browser, agent, schedule, slots, waiting_tabs, step_limit, metrics, gate)
+        elif waiting_tabs:
+            yield []
+        if not slots and not waiting_tabs:  # episodes lost in the last round are played again
+            waiting_tabs = {tab: spec for tab in range(browser.tabs) if (spec := schedule.next(tab)) is not None}
+            if not waiting_tabs:
+                return
+
+
+def _play_round(
+    browser: Browser,
+    agent: Agent,
+    schedule: Schedule,
+    slots: dict[int, Slot],
+    waiting_tabs: dict[int, EpisodeSpec],
+    step_limit: int,
+    metrics: Metrics,
+    gate: Gate,
+) -> Iterator[list[Episode]]:
+    """One step of every tab. Yields the episodes that ended, and moves tabs between `slots` and `waiting_tabs`."""
+    may_follow = gate(len(slots)) - len(waiting_tabs)  # idle tabs come first
+    commands = _commands(slots, agent, step_limit, may_follow)
+    with waiting(metrics, "browser"):
+        results = browser.step(commands)
+    ended: list[Episode] = []
+    for tab, result in results.items():
+        slot = slots[tab]
+        metrics.env_steps.inc()
+        if result.lost:
+            metrics.episodes.labels(slot.observation.episode.task, "lost").inc()
+            schedule.requeue(slot.observation.episode)
+        elif not slot.pages:
+            metrics.episodes.labels(slot.observation.episode.task, "empty_page").inc()
+        elif result.done or commands[tab].last:
+            episode = _close(slot, Outcome(raw_reward=result.raw_reward, ended=result.done))
+            metrics.episodes.labels(episode.trajectory.task, _outcome_name(episode.outcome)).inc()
+            ended.append(episode)
+        else:
+            assert result.observation is not None
+            slot.observation = result.observation
+            continue
+        del slots[tab]
+        if result.observation is not None:
+            slots[tab] = _open(result.observation, schedule, tab)
+        elif slot.following is not None and commands[tab].following is None:
+            waiting_tabs[tab] = slot.following
+    yield ended
+
+
+def play_pages(
+    config: Config,
+    browser: Browser,
+    agent: Agent,
+    purpose: Purpose,
+    pages: int,
+    metrics: Metrics,
+    *,
+    tasks: Sequence[str] = (),
+    first: int = 0,
+    job: Job | None = None,
+    note: str = "",
+) -> list[Episode]:
+    """Play the pages `first` to `first + pages - 1` of each task, with the seeds of `purpose`; returns the episodes.
+
+    Empty `tasks` means all tasks of the config. `job` shows the number of episodes, with `note` next to it.
+    """
+    schedule = Schedule(
+        tasks or config.tasks, browser.tabs, purpose=purpose, run_seed=config.seed, first=first, quota=pages
+    )
+    episodes: list[Episode] = []
+    for ended in play(browser, agent, schedule, step_limit=config.step_limit, metrics=metrics):
+        episodes += ended
+        if job is not None:
+            job.advance(len(ended), note)
+    return episodes
 
 
 def _open(observation: Observation, schedule: Schedule, tab: int) -> Slot:
@@ -141,19 +212,23 @@ def _open(observation: Observation, schedule: Schedule, tab: int) -> Slot:
     return Slot(observation=observation, following=schedule.next(tab), rng=rng)
 
 
-def _commands(slots: Mapping[int, Slot], agent: Agent, step_limit: int) -> dict[int, Command]:
-    """One command for each tab, chosen in one batch. An episode ends on a page without elements."""
-    commands = {tab: Command(verb=Verb.WAIT, last=True, following=slot.following) for tab, slot in slots.items()}
+def _commands(slots: Mapping[int, Slot], agent: Agent, step_limit: int, may_follow: int) -> dict[int, Command]:
+    """One command for each tab, from one batch of decisions. On a page without elements the episode ends.
+
+    If an episode ends, only the first `may_follow` tabs open their next one in the same call.
+    """
+    following = {tab: slot.following if n < may_follow else None for n, (tab, slot) in enumerate(slots.items())}
+    commands = {tab: Command(verb=Verb.WAIT, last=True, following=following[tab]) for tab in slots}
     playable = {tab: slot for tab, slot in slots.items() if slot.observation.page.leaf.any()}
     if playable:
         uniform = np.stack([slot.rng.random((agent.draws, 3), dtype=np.float32) for slot in playable.values()])
         decisions = agent.select_actions([slot.observation for slot in playable.values()], uniform)
         for (tab, slot), decision in zip(playable.items(), decisions, strict=True):
-            commands[tab] = _command(slot, decision, step_limit)
+            commands[tab] = _command(slot, decision, step_limit, following[tab])
     return commands
 
 
-def _command(slot: Slot, decision: Decision, step_limit: int) -> Command:
+def _command(slot: Slot, decision: Decision, step_limit: int, following: EpisodeSpec | None) -> Command:
     """Record the decision in the slot and translate it into a browser command."""
     page, action = slot.observation.page, decision.action
     slot.pages.append(page)
@@ -164,7 +239,7 @@ def _command(slot: Slot, decision: Decision, step_limit: int) -> Command:
         slot.sampled_logp.append(decision.sampled_logp)
     if slot.version is None:
         slot.version = decision.version
-    return Command.of(action, slot.observation, last=len(slot.pages) >= step_limit, following=slot.following)
+    return Command.of(action, slot.observation, last=len(slot.pages) >= step_limit, following=following)
 
 
 def _close(slot: Slot, outcome: Outcome) -> Episode:

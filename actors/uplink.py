@@ -29,15 +29,14 @@ class Refused(RuntimeError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UplinkLimits:
-    """When an actor has to pause, and how often it sends notices."""
+    """When an actor may start no episode, and how often it sends notices."""
 
-    max_unacked: int = 8  # episodes not yet acknowledged; from here on the actor should pause
-    max_kept_bytes: int = 64 << 20  # of episodes that no checkpoint covers; from here on the actor should pause, too
+    max_kept_bytes: int = 64 << 20  # of episodes that no checkpoint covers; from here on no episode starts
     heartbeat_s: float = 1.0  # interval
     hello_s: float = 0.5  # interval between attempts to register
 
     def __post_init__(self) -> None:
-        if self.max_unacked < 1 or self.max_kept_bytes < 1 or min(self.heartbeat_s, self.hello_s) <= 0:
+        if self.max_kept_bytes < 1 or min(self.heartbeat_s, self.hello_s) <= 0:
             raise ValueError(f"{self} is out of range: wanted limits >= 1 and intervals > 0")
 
 
@@ -76,12 +75,14 @@ class Uplink:
         self._finished = 0
         self._notices = 0
         self._leaving = False
+        self.idle_share = 0.0  # of the tabs, as the worker sees it
         self._connect(address)
 
-    @property
-    def ready(self) -> bool:
-        """Whether the actor may go on playing."""
-        return self.unacked < self._limits.max_unacked and self._kept_bytes < self._limits.max_kept_bytes
+    def startable(self, unfinished: int) -> int:
+        """How many episodes the actor may start while so many are played or scored."""
+        if self._kept_bytes >= self._limits.max_kept_bytes:
+            return 0
+        return max(0, self._send_limit - self._finished - unfinished)
 
     @property
     def unacked(self) -> int:
@@ -233,6 +234,7 @@ class Uplink:
             finished=self._finished,
             full=self._leaving or 2 * self._kept_bytes >= self._limits.max_kept_bytes,
             before=self._counter.before,
+            idle_share=self.idle_share,
         )
         now_s = time.monotonic()
         if self._dealer.send(delivery.encode_notice(notice)):

@@ -1,11 +1,12 @@
-"""The loop of an actor: play episodes, get their rewards from the reward service, and send them to the learner.
+"""The main loop of an actor: plays episodes, requests their rewards, and sends them to the learner.
 
-Playing does not wait for the other two: while episodes are scored and delivered, the next ones are played.
+Scoring and delivery are asynchronous: the next episodes are played in the meantime.
 """
 
 from __future__ import annotations
 
 import logging
+import math
 import queue
 import threading
 import time
@@ -13,15 +14,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from actors.agents import PolicyAgent
-from actors.rollouts import Schedule, play
+from actors.rollouts import Schedule, always_open, play
 from actors.uplink import Refused, Uplink
 from giirl_core.metrics import Metrics, waiting
-from giirl_core.types import UNSCORED, Browser, Episode, Weights
+from giirl_core.types import UNSCORED, Browser, Episode
+from giirl_core.weights import Weights
 from giirl_core.wire.score_client import ScoreClient
 
 LOG = logging.getLogger(__name__)
 NO_VERSION = -1
+IDLE_S = 5.0  # time constant of the moving average of the share of idle tabs
 POLL_S = 0.005  # between polls of the sockets while the actor does not play
+OUTAGE_S, MAX_OUTAGE_S = 5.0, 60.0  # pause in requests after a failed one; doubles with each further failure
 
 
 class Orphaned(RuntimeError):
@@ -30,37 +34,45 @@ class Orphaned(RuntimeError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkerLimits:
-    """When an actor ends an episode, pauses, or stops."""
+    """The limits at which an actor ends an episode, pauses, or stops."""
 
     step_limit: int  # actions per episode
-    lock_step: bool = False  # play one share of pages with each policy version, then wait for the next version
-    max_scoring: int = 64  # episodes waiting for rewards; above this the actor pauses
-    flush_timeout_s: float = 2.0  # after `stop`: to wait for rewards, and again to wait for acknowledgements
-    orphan_timeout_s: float = float("inf")  # without a message from the learner, after which the actor gives up
+    lock_step: bool = False  # play one schedule with each policy version, then wait for the next version
+    max_playing: int = 1 << 10  # episodes at the same time, in whichever tabs
+    max_scoring: int = 64  # while more episodes than this wait for rewards, none starts
+    flush_timeout_s: float = 2.0  # after `stop`: for outstanding rewards, and again for acknowledgements
+    orphan_timeout_s: float = float("inf")  # longest silence of the learner before the actor gives up
 
 
 class Worker:
-    """Runs in one thread. `load`, `set_scorers`, `rejoin` and `stop` may be called from other threads."""
+    """Runs in one thread. Only `load`, `set_scorers`, `rejoin` and `stop` may be called from other threads."""
 
     def __init__(
         self,
         browser: Browser,
         agent: PolicyAgent,
         schedule: Callable[[int], Schedule],
-        scorer: ScoreClient,
+        scorer: ScoreClient | None,
         uplink: Uplink,
         *,
         limits: WorkerLimits,
         metrics: Metrics,
     ) -> None:
-        """`schedule` returns the pages to play with a policy version; without lock-step it is called once."""
+        """`schedule` returns the schedule for a policy version; without lock-step it is called only once.
+
+        `scorer` is None for algorithms that use no learned reward.
+        """
         self._browser, self._agent, self._schedule = browser, agent, schedule
         self._scorer, self._uplink = scorer, uplink
         self._limits, self._metrics = limits, metrics
         self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()  # from other threads
         self._stop = threading.Event()
         self._commit_timeout_s = 0.0
-        self._played_version = NO_VERSION  # in lock-step: the version whose share has been started
+        self._played_version = NO_VERSION  # in lock-step: the version whose schedule was started last
+        self._places = min(browser.tabs, limits.max_playing)
+        self._playing = 0  # unfinished episodes
+        self._idle = _MovingAverage()  # share of idle places
+        self._outage_end_s, self._outage_s = 0.0, OUTAGE_S  # of the reward service
 
     def load(self, weights: Weights) -> None:
         """Use these policy weights from the next round on."""
@@ -68,7 +80,13 @@ class Worker:
 
     def set_scorers(self, scorers: Sequence[str]) -> None:
         """Replace the addresses of the reward services."""
-        self._calls.put(lambda: self._scorer.set_replicas(scorers))
+
+        def call() -> None:
+            if self._scorer is not None:
+                self._scorer.set_replicas(scorers)
+                self._outage_end_s, self._outage_s = 0.0, OUTAGE_S
+
+        self._calls.put(call)
 
     def rejoin(self, learner: str, weights: Weights) -> None:
         """Work for a learner that was restarted at this address. Its weights may be older than the current ones."""
@@ -83,15 +101,16 @@ class Worker:
     def stop(self, commit_timeout_s: float) -> None:
         """Make `run` deliver the finished episodes and return.
 
-        With `commit_timeout_s` > 0 it also waits, at most that long, until a checkpoint covers them.
+        With `commit_timeout_s` > 0, `run` also waits up to that long for a checkpoint that covers them.
         """
         self._commit_timeout_s = commit_timeout_s
         self._stop.set()
 
     def run(self) -> None:
-        """Play until stopped, then deliver the finished episodes. Unfinished episodes are abandoned.
+        """Play until `stop` is called, then deliver the finished episodes. Unfinished episodes are abandoned.
 
-        Raises Orphaned or Refused, without delivering anything, if there is no learner to work for.
+        Raises Orphaned if the learner is silent for too long, and Refused if it rejects this actor. In both cases
+        nothing is delivered.
         """
         try:
             self._play_until_stopped()
@@ -113,12 +132,12 @@ class Worker:
             self._play(self._schedule(self._agent.version))
 
     def _deliver_finished(self) -> None:
-        """Deliver all finished episodes; those without rewards by the timeout go unscored."""
+        """Deliver all finished episodes; those whose rewards do not arrive in time are sent unscored."""
         deadline_s = time.monotonic() + self._limits.flush_timeout_s
-        while self._scorer.pending and time.monotonic() < deadline_s:
+        while self._scorer is not None and self._scorer.pending and time.monotonic() < deadline_s:
             self._poll()
             time.sleep(POLL_S)
-        for episode in self._scorer.cancel_pending():
+        for episode in self._scorer.cancel_pending() if self._scorer is not None else ():
             self._submit_unscored(episode)
         if self._commit_timeout_s:
             self._uplink.wait_committed(self._commit_timeout_s)
@@ -126,10 +145,11 @@ class Worker:
             self._uplink.flush(self._limits.flush_timeout_s)
 
     def _submit_unscored(self, episode: object) -> None:
-        """Send an episode without rewards; the learner computes them."""
+        """Send an episode without rewards; the learner computes them if it needs them."""
         assert isinstance(episode, Episode)
         assert episode.trajectory.reward_version == UNSCORED
-        self._metrics.episodes_unscored.inc()
+        if self._scorer is not None:
+            self._metrics.episodes_unscored.inc()
         self._uplink.submit(episode)
 
     def _play(self, schedule: Schedule) -> None:
@@ -139,35 +159,49 @@ class Worker:
             schedule,
             step_limit=self._limits.step_limit,
             metrics=self._metrics,
+            gate=always_open if self._limits.lock_step else self._startable,
         )
         for finished in rounds:
             for episode in finished:
-                self._scorer.submit(episode, episode.trajectory)
+                self._finish(episode)
             self._poll()
             if not self._limits.lock_step:
-                self._pause_if_behind()
                 self._run_calls()
+            if not finished and not self._playing:
+                self._wait("learner")
             if self._stop.is_set():
                 break
 
+    def _startable(self, playing: int) -> int:
+        """The gate: how many more episodes the learner's credits allow, while `playing` are unfinished."""
+        self._playing = playing
+        scoring = self._scorer.pending if self._scorer is not None else 0
+        if scoring > self._limits.max_scoring:
+            return 0
+        return min(self._uplink.startable(playing + scoring), self._limits.max_playing - playing)
+
+    def _finish(self, episode: Episode) -> None:
+        """Request the rewards of an episode. Without a reward service, or during its outage, send it unscored."""
+        if self._scorer is None or time.monotonic() < self._outage_end_s:
+            self._submit_unscored(episode)
+        else:
+            self._scorer.submit(episode, episode.trajectory)
+
     def _poll(self) -> None:
-        """Send the learner every episode whose scoring has succeeded or failed. Raises Refused or Orphaned."""
-        for episode, rewards, version in self._scorer.poll():
+        """Send the episodes whose scoring has succeeded or failed to the learner. Raises Refused or Orphaned."""
+        for episode, rewards, version in self._scorer.poll() if self._scorer is not None else ():
             if rewards is None:
+                self._outage_end_s = time.monotonic() + self._outage_s
+                self._outage_s = min(2 * self._outage_s, MAX_OUTAGE_S)
                 self._submit_unscored(episode)
                 continue
+            self._outage_end_s, self._outage_s = 0.0, OUTAGE_S
             assert isinstance(episode, Episode)
             self._uplink.submit(replace(episode, trajectory=episode.trajectory.with_rewards(rewards, version)))
+        self._uplink.idle_share = self._idle.update(1 - self._playing / self._places)
         self._uplink.poll()
         if self._uplink.silent_for_s > self._limits.orphan_timeout_s:
             raise Orphaned(f"no message from the learner for {self._limits.orphan_timeout_s:.0f} s")
-
-    def _pause_if_behind(self) -> None:
-        """Wait while the learner or the reward service has more episodes than it can process."""
-        while not self._stop.is_set() and not self._uplink.ready:
-            self._wait("learner")
-        while not self._stop.is_set() and self._scorer.pending > self._limits.max_scoring:
-            self._wait("reward_service")
 
     def _wait(self, what: str) -> None:
         with waiting(self._metrics, what):
@@ -181,7 +215,7 @@ class Worker:
             self._calls.get_nowait()()
 
     def _load(self, weights: Weights) -> None:
-        """Replace the policy weights, unless the new ones are older or corrupt."""
+        """Replace the policy weights; older or corrupt ones are rejected and counted."""
         try:
             self._agent.load(weights)
         except ValueError as error:
@@ -189,3 +223,17 @@ class Worker:
             LOG.warning("rejected policy weights: %s", error)
             return
         self._metrics.policy_version.set(weights.version)
+
+
+class _MovingAverage:
+    """An exponential moving average over time, with the time constant IDLE_S."""
+
+    def __init__(self) -> None:
+        self._value, self._updated_s = 0.0, time.monotonic()
+
+    def update(self, value: float) -> float:
+        """Add `value` for the time since the last update; returns the average, in [0, 1]."""
+        now_s = time.monotonic()
+        weight = 1 - math.exp((self._updated_s - now_s) / IDLE_S)
+        self._value, self._updated_s = self._value + weight * (value - self._value), now_s
+        return min(max(self._value, 0.0), 1.0)

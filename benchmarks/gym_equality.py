@@ -10,7 +10,6 @@ would differ anyway.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import platform
 import shutil
@@ -31,6 +30,7 @@ from browser_farm import tasks as miniwob
 from browser_farm.gym.adapter import MiniWoBAdapter
 from browser_farm.gym.env import MiniWoB
 from browser_farm.gym.slot import EnvSlot
+from giirl_core.files import write_json
 
 ELEMENT_ACTIONS = ("NONE", "CLICK_ELEMENT", "FOCUS_ELEMENT_AND_TYPE_TEXT", "FOCUS_ELEMENT_AND_TYPE_FIELD", "TYPE_TEXT")
 INPUT_ACTIONS = ("CLICK_COORDS", "DBLCLICK_COORDS", "MOVE_COORDS", "SCROLL_DOWN_COORDS", "PRESS_KEY")
@@ -78,8 +78,8 @@ class PackageEnv:
 
 def switch_task(env: MiniWoB, task: str) -> MiniWoB:
     """Our environment, set to a task from its next reset on: all tasks share one tab."""
-    env.package = MiniWoBAdapter.of(task)
-    env._place = EnvSlot(env.package)
+    env.adapter = MiniWoBAdapter.of(task)
+    env._slot = EnvSlot(env.adapter)
     return env
 
 
@@ -212,7 +212,7 @@ def main() -> None:
     ours.close()
     package.env.close()
     if arguments.json:
-        arguments.json.write_text(json.dumps(summary(results), indent=1) + "\n")
+        write_json(arguments.json, summary(results))
 
 
 def summary(results: dict[str, dict[str, Comparison]]) -> dict[str, Any]:

@@ -25,6 +25,7 @@ from benchmarks.gym_equality import PackageEnv
 from browser_farm.chrome import reaper
 from browser_farm.gym.env import MiniWoB
 from browser_farm.gym.vector_env import MiniWoBVector
+from giirl_core.files import write_json
 
 TASK = "click-checkboxes-large"
 ENVS = 8
@@ -143,9 +144,9 @@ def main() -> None:
         env.close()
         envs.close()
     result = {"task": TASK, "sides": sides, "load_before": load, "load_after": os.getloadavg()}
-    click.echo(json.dumps(result, indent=1))
+    click.echo(json.dumps(result, indent=2))
     if arguments.json:
-        arguments.json.write_text(json.dumps(result, indent=1) + "\n")
+        write_json(arguments.json, result)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from typing import Any
 import psutil
 
 from actors.episode_counter import read_counts
-from giirl_core.files import atomic_write
+from giirl_core.files import write_json
 from giirl_core.processes.supervision import MAX_CRASHES
 from giirl_core.progress import Display, Job
 from learner.checkpoint import latest_checkpoint
@@ -135,8 +135,7 @@ def main() -> None:
     arguments = parser.parse_args()
     result = {"recovery": measure(arguments.times, Display())}
     if arguments.json:
-        with atomic_write(arguments.json) as file:
-            file.write(json.dumps(result, indent=2).encode() + b"\n")
+        write_json(arguments.json, result)
     print(json.dumps(result, indent=2))  # noqa: T201
 
 

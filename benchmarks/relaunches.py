@@ -23,7 +23,7 @@ import psutil
 
 from browser_farm.chrome import reaper
 from browser_farm.farm import ChromeFarm
-from giirl_core.files import atomic_write
+from giirl_core.files import write_json
 from giirl_core.progress import Display
 from giirl_core.types import Command, EpisodeSpec, Verb
 
@@ -84,8 +84,7 @@ def main() -> int:
     arguments = parser.parse_args()
     result = run(arguments.times, Path(tempfile.gettempdir()))
     if arguments.json is not None:
-        with atomic_write(arguments.json) as file:
-            file.write(json.dumps(result, indent=2).encode() + b"\n")
+        write_json(arguments.json, result)
     print(json.dumps(result))  # noqa: T201
     return 0 if all(result["after"][name] <= before for name, before in result["before"].items()) else 1
 

@@ -29,7 +29,7 @@ from benchmarks.sides import FIRST_SEED
 from browser_farm.chrome import reaper
 from browser_farm.experts import expert
 from browser_farm.farm import ChromeFarm
-from giirl_core.files import atomic_write
+from giirl_core.files import write_json
 from giirl_core.progress import Display
 from giirl_core.types import Command, EpisodeSpec, Observation
 
@@ -228,8 +228,7 @@ def main() -> int:
     arguments = parser.parse_args()
     result = run(arguments.episodes, arguments.every, arguments.tabs)
     if arguments.json is not None:
-        with atomic_write(arguments.json) as file:
-            file.write(json.dumps(result, indent=2).encode() + b"\n")
+        write_json(arguments.json, result)
     summary = {name: result[name] for name in ("episodes", "seconds", "outcomes", "restarts_by_cause")}
     print(json.dumps({**summary, "slowest_healed_s": result["faults"]["slowest_healed_s"]}))  # noqa: T201
     good = not result["rewards"]["wrong"] and result["memory"]["flat"] and result["faults"]["all_within_5_s"]

@@ -20,7 +20,7 @@ from giirl_core.processes.supervision import Process
 from giirl_core.wire import messages as wire
 from giirl_core.wire.scoring import encode_request
 from giirl_core.wire.transport import Dealer
-from learner.stream.admission import IngestLimits
+from learner.stream.flow import IngestLimits
 from learner.stream.ingest import Ingest
 
 BIG, SMALL = 215, 20  # rows of a page; an episode of ten pages has 100 KB (more than 100 KiB) or 10 KB

@@ -1,4 +1,4 @@
-"""A browser that is not one: four tasks drawn in Python behind the same port, for tests, never for results."""
+"""A fake browser: four tasks generated in Python behind the `Browser` protocol. For tests, never for results."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 from giirl_core.types import Command, EpisodeSpec, Goal, Observation, Page, StepResult, Verb
 
 LABELS = ("submit", "okay", "ok", "yes", "no", "cancel", "next", "previous")
-FILLER = ("lorem", "ipsum", "dolor", "amet", "elit", "magna", "purus", "tellus", "sapien", "nibh")
+FILLER_WORDS = ("lorem", "ipsum", "dolor", "amet", "elit", "magna", "purus", "tellus", "sapien", "nibh")
 NAMES = ("Ada", "Bertram", "Clotilde", "Dorinda", "Emil", "Fausta", "Gregor", "Hedda", "Ignatz", "Jolanda")
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One element of a fake page; `reward` is what clicking it pays, None when a click changes nothing."""
+    """One element of a fake page. Clicking it ends the episode with `reward`, or does nothing when that is None."""
 
     tag: str
     text: str = ""
@@ -28,12 +28,12 @@ class Row:
 
 @dataclass(slots=True)
 class Tab:
-    """What one tab shows."""
+    """The state of one tab."""
 
     episode: EpisodeSpec
     goal: Goal
     rows: list[Row]
-    wanted: str = ""  # what the field must hold when Submit is clicked
+    wanted: str = ""  # the text that the field must hold when Submit is clicked
     boxes: np.ndarray[tuple[int, int], np.dtype[np.float32]] | None = None
 
 
@@ -62,9 +62,10 @@ def _enter_text(rng: np.random.Generator) -> tuple[str, list[Row], str]:
 
 
 def _filler(rng: np.random.Generator) -> Row:
+    """A random element: text, an input or a button."""
     kind = rng.random()
     if kind < 1 / 3:
-        return Row("div", " ".join(rng.choice(FILLER, 3)))
+        return Row("div", " ".join(rng.choice(FILLER_WORDS, 3)))
     return Row("input_text") if kind < 2 / 3 else Row("button", _label(rng))
 
 
@@ -82,7 +83,7 @@ TASKS: dict[str, Callable[[np.random.Generator], tuple[str, list[Row], str]]] = 
 
 
 class FakeFarm:
-    """Implements `giirl_core.types.Browser` without a browser. Same task and seed, same page."""
+    """Implements `giirl_core.types.Browser` without a browser. The same task and seed give the same page."""
 
     def __init__(self, *, tabs: int = 8) -> None:
         self.tabs = tabs
@@ -90,33 +91,37 @@ class FakeFarm:
 
     def reset(self, episodes: Mapping[int, EpisodeSpec]) -> dict[int, Observation]:
         for tab, episode in episodes.items():
-            self._open[tab] = _open(episode)
-        return {tab: _look(self._open[tab]) for tab in episodes}
+            self._open[tab] = _generate(episode)
+        return {tab: _observe(self._open[tab]) for tab in episodes}
 
     def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]:
         return {tab: self._step(tab, command) for tab, command in commands.items()}
 
     def _step(self, tab: int, command: Command) -> StepResult:
-        shown = self._open[tab]
-        reward = _act(shown, command)
+        reward = _act(self._open[tab], command)
         done = reward is not None
         if done or command.last:
             if command.following is None:
                 return StepResult(raw_reward=reward or 0.0, done=done, observation=None)
-            self._open[tab] = _open(command.following)
-        return StepResult(raw_reward=reward or 0.0, done=done, observation=_look(self._open[tab]))
+            self._open[tab] = _generate(command.following)
+        return StepResult(raw_reward=reward or 0.0, done=done, observation=_observe(self._open[tab]))
+
+    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
+        """The fake browser has no screenshots."""
+        return b""
 
     def close(self) -> None:
         self._open.clear()
 
 
 def check_task(task: str) -> None:
-    """ValueError when there is no such task here."""
+    """Raise ValueError when the fake browser has no such task."""
     if task not in TASKS:
         raise ValueError(f"the fake browser has no task {task!r}: it has {', '.join(TASKS)}")
 
 
-def _open(episode: EpisodeSpec) -> Tab:
+def _generate(episode: EpisodeSpec) -> Tab:
+    """The page of an episode; ValueError when there is no such task."""
     check_task(episode.task)
     rng = np.random.default_rng(episode.seed)
     utterance, rows, wanted = TASKS[episode.task](rng)
@@ -133,20 +138,20 @@ def _open(episode: EpisodeSpec) -> Tab:
 
 
 def _act(tab: Tab, command: Command) -> float | None:
-    """Do the command; the page's reward when that ends the episode, else None."""
+    """Execute the command; returns the page's reward if that ends the episode, else None."""
     if not 0 <= command.ref < len(tab.rows):
         return None
     row = tab.rows[command.ref]
     if command.verb is Verb.CLICK and row.reward is not None:
-        held = {other.value for other in tab.rows if other.tag == "input_text"}
-        return 1.0 if tab.wanted and tab.wanted in held else row.reward
+        values = {other.value for other in tab.rows if other.tag == "input_text"}
+        return 1.0 if tab.wanted and tab.wanted in values else row.reward
     typed = command.verb is Verb.TYPE and row.tag == "input_text"
     tab.rows = [replace(other, focused=False) for other in tab.rows]
     tab.rows[command.ref] = replace(row, value=command.text if typed else row.value, tampered=True, focused=True)
     return None
 
 
-def _look(tab: Tab) -> Observation:
+def _observe(tab: Tab) -> Observation:
     rows, boxes = tab.rows, tab.boxes
     assert boxes is not None
     page = Page(

@@ -1,4 +1,4 @@
-"""Speaks with page.js: writes its calls, and turns its replies into pages and goals."""
+"""The protocol of page.js: encodes requests to it, and decodes its answers into pages and goals."""
 
 from __future__ import annotations
 
@@ -17,42 +17,44 @@ from giirl_core.types import Command, EpisodeSpec, Goal, Page
 
 FOCUSED = 1
 TAMPERED = 2
-GONE = "gone"  # what a document without an open episode answers
-WAIT = "wait"  # the page is still loading: LATER has the answer
-LATER = "giirl.later()"
-DRAWN = "giirl.drawn()"  # once Chrome has drawn what a turn of the wheel moved
+GONE = "gone"  # the answer of a document without an open episode
+WAIT = "wait"  # the answer of a page that is still loading: PENDING_ANSWER returns the real one
+PENDING_ANSWER = "giirl.pendingAnswer()"
+SCROLL_DRAWN = "giirl.scrollDrawn()"  # resolves once Chrome has drawn the effect of a mouse wheel event
 Json = list[Any]
 SCRIPTS = ("clock", "focus", "keyboard", "gestures", "reading", "elements", "frame", "page")
 
 
 def source(name: str) -> str:
-    """One of the scripts of this package."""
+    """The JavaScript source of one script of this package, named without its suffix."""
     return (Path(__file__).parent / "js" / f"{name}.js").read_text(encoding="utf-8")
 
 
 def start_call(episode: EpisodeSpec) -> Json:
+    """Request to open an episode."""
     return [[episode.seed, episode.mode]]
 
 
 def step_call(command: Command, task: str) -> Json:
-    """Act, and go on in the same document when the episode that follows has the same task."""
+    """Request to act, and to open the following episode in the same document if it has the same task."""
     following = command.following
-    stays = following is not None and following.task == task and not needs_fresh_document(task)
-    begins = [following.seed, following.mode] if following is not None and stays else None
-    return [_told(command), command.last, begins]
+    same_document = following is not None and following.task == task and not needs_fresh_document(task)
+    next_episode = [following.seed, following.mode] if following is not None and same_document else None
+    return [_encode_action(command), command.last, next_episode]
 
 
 def aim_call(command: Command) -> Json:
-    """Ask where the input events of an action have to go."""
-    return [_told(command), True]
+    """Request for the coordinates of an action's input events, see `trusted_input.events`."""
+    return [_encode_action(command), True]
 
 
-def _told(command: Command) -> Json:
+def _encode_action(command: Command) -> Json:
     return [int(command.verb), command.ref, command.text, *command.at, *command.by, command.to]
 
 
 def decode_page(columns: list[Any]) -> Page:
-    tag, text, value, classes, numbers, boxes, looks = columns
+    """A Page from the columns that reading.js returns."""
+    tag, text, value, classes, numbers, boxes, details = columns
     table = np.array(numbers, dtype=np.int32).reshape(-1, 3)
     flags = table[:, 2]
     return Page(
@@ -65,13 +67,14 @@ def decode_page(columns: list[Any]) -> Page:
         box=np.array(boxes, dtype=np.float32).reshape(-1, 4),
         focused=(flags & FOCUSED) != 0,
         tampered=(flags & TAMPERED) != 0,
-        colour=_scattered(looks[::4], looks[1::4], len(tag)),
-        shape=_scattered(looks[::4], looks[2::4], len(tag)),
-        attributes=_scattered(looks[::4], looks[3::4], len(tag)),
+        colour=_dense_column(details[::4], details[1::4], len(tag)),
+        shape=_dense_column(details[::4], details[2::4], len(tag)),
+        attributes=_dense_column(details[::4], details[3::4], len(tag)),
     )
 
 
-def _scattered(rows: list[int], values: list[str], count: int) -> tuple[str, ...]:
+def _dense_column(rows: list[int], values: list[str], count: int) -> tuple[str, ...]:
+    """[count] the values at their rows and "" elsewhere; () when there are none."""
     if not rows:
         return ()
     column = [""] * count
@@ -82,12 +85,12 @@ def _scattered(rows: list[int], values: list[str], count: int) -> tuple[str, ...
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """A way to look at pages: the script that reads them, and what makes its columns a Page."""
+    """How pages are observed: the script that reads them, and the decoder of its columns."""
 
-    reader: str
+    reader: str  # script that defines `reset`, `walk` and `nodeOf`
     decode: Callable[[Json], Page]
     emulation: tuple[tuple[str, dict[str, Any]], ...] = ()  # DevTools methods and parameters, called once in every tab
-    first: tuple[str, ...] = ()  # scripts that go before all others
+    first: tuple[str, ...] = ()  # scripts to run before all others
 
     @functools.cached_property
     def script(self) -> str:
@@ -105,18 +108,18 @@ ROWS = View(reader="reading", decode=decode_page)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """What page.js says; `page` is missing where no episode goes on, `goal` where none begins."""
+    """An answer of page.js. `page` is None when no episode continues, `goal` is None when none begins."""
 
     raw_reward: float
     done: bool
     page: Page | None
     goal: Goal | None
-    reason: str  # for the reward, where the page gives one
+    reason: str  # for the reward, "" unless the page gives one
 
 
-def decode(words: Json, view: View = ROWS) -> Answer:
-    """The answer in what a page said; ValueError or TypeError when it is none."""
-    raw_reward, done, columns, utterance, *reason = words
+def decode(answer: Json, view: View = ROWS) -> Answer:
+    """Decode an answer of page.js; ValueError or TypeError when it is malformed."""
+    raw_reward, done, columns, utterance, *reason = answer
     return Answer(
         raw_reward=float(raw_reward),
         done=bool(done),

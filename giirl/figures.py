@@ -1,4 +1,4 @@
-"""The figures of the tabular chapter as PNG: maps of a learned reward, and returns while it is learned."""
+"""Figures as PNG: maps of a learned reward, and learning curves."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ from gridcraft.layouts import COLOURS, Layout
 
 INKS = ("#404040", "#ffffff", "#d7301f", "#31a354", "#3182bd", "#fec44f")  # wall, white, then COLOURS
 DOTS_PER_INCH = 120
-INCHES = 3.2  # of a panel
+INCHES = 3.2  # width of a panel
 
 assert len(INKS) == len(COLOURS) + 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Panel:
-    """Numbers on a layout."""
+    """Values on the cells of a layout."""
 
     title: str
-    values: NDArray[np.float64]  # [H, W], nan where there is a wall
+    values: NDArray[np.float64]  # [H, W], nan for walls
 
 
 def draw_maps(path: Path, layout: Layout, panels: Sequence[Panel]) -> None:
-    """The layout in its colours beside each panel as a heat map, all on one scale."""
+    """Draw the layout in its colours, and next to it each panel as a heat map, all on one scale."""
     figure = Figure(figsize=(INCHES * (len(panels) + 1), INCHES + 0.3), layout="constrained")
     axes = figure.subplots(1, len(panels) + 1, squeeze=False)[0]
     paint = ListedColormap(INKS)
     axes[0].imshow(layout.cells, cmap=paint, norm=BoundaryNorm(np.arange(-1.5, len(COLOURS) + 1), paint.N))
     axes[0].set_title(f"the map: {layout.name}", fontsize=9)
-    every = np.concatenate([panel.values[np.isfinite(panel.values)] for panel in panels])
+    values = np.concatenate([panel.values[np.isfinite(panel.values)] for panel in panels])
     image = None
     for axis, panel in zip(axes[1:], panels, strict=True):
         axis.set_facecolor(INKS[0])
-        image = axis.imshow(panel.values, cmap="viridis", vmin=every.min(), vmax=every.max())
+        image = axis.imshow(panel.values, cmap="viridis", vmin=values.min(), vmax=values.max())
         axis.set_title(panel.title, fontsize=9)
         _outline(axis, layout)
     for axis in axes:
@@ -55,9 +55,10 @@ def draw_maps(path: Path, layout: Layout, panels: Sequence[Panel]) -> None:
 
 
 def draw_successes(path: Path, runs: Sequence[Mapping[str, Any]]) -> None:
-    """Success of the exploring policy against environment steps, a panel a task: each variant's mean over its seeds,
-    and a band from the worst seed to the best; a run that needed fewer steps for its episodes counts on with its last.
-    `runs` have "variant", "seed" and "curve", as a study records them.
+    """Draw the success of the exploring policy against environment steps, one panel per task.
+
+    Each variant has a line, the mean over its seeds, and a band from the worst seed to the best. A run that took fewer
+    steps keeps its last value. `runs` are records of a study, with "variant", "seed", "tasks" and "curve".
     """
     tasks = list(runs[0]["tasks"])
     figure = Figure(figsize=(INCHES * len(tasks), 2.6), layout="constrained")
@@ -83,14 +84,14 @@ def draw_successes(path: Path, runs: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _success_at(steps: NDArray[np.float64], curve: Sequence[Mapping[str, Any]], task: str) -> NDArray[np.float64]:
-    """Between the points of a curve in a straight line; nan before there were enough episodes, the last one after."""
-    got = [np.nan if point["success"].get(task) is None else point["success"][task] for point in curve]
-    line: NDArray[np.float64] = np.interp(steps, [point["env_steps"] for point in curve], got, left=np.nan)
+    """Linear interpolation of a curve at `steps`; nan before its first value, its last value after its end."""
+    success = [np.nan if point["success"].get(task) is None else point["success"][task] for point in curve]
+    line: NDArray[np.float64] = np.interp(steps, [point["env_steps"] for point in curve], success, left=np.nan)
     return line
 
 
 def draw_returns(path: Path, env_steps: NDArray[np.int64], returns: Mapping[str, NDArray[np.float64]]) -> None:
-    """Return against steps [P] by goal, from [seeds, P]: the mean, and a band from the worst seed to the best."""
+    """Draw return against steps [P] for each goal, from [seeds, P]: the mean, with a band from worst to best seed."""
     columns = min(len(returns), 3)
     rows = -(-len(returns) // columns)
     figure = Figure(figsize=(INCHES * columns, 2.4 * rows), layout="constrained")
@@ -111,7 +112,7 @@ def draw_returns(path: Path, env_steps: NDArray[np.int64], returns: Mapping[str,
 
 
 def _outline(axis: Axes, layout: Layout) -> None:
-    """The edges of the coloured regions, in their colours."""
+    """Draw the outlines of the coloured regions."""
     for number in range(1, len(COLOURS) + 1):
         for row, column in np.argwhere(layout.cells == number):
             corner = (float(column) - 0.42, float(row) - 0.42)
@@ -119,7 +120,7 @@ def _outline(axis: Axes, layout: Layout) -> None:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    """Write the PNG. No window system is asked for, and no date goes into the file."""
+    """Write the PNG, without a window system and without a date in the file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     FigureCanvasAgg(figure)
     figure.savefig(path, dpi=DOTS_PER_INCH, metadata={"Software": None})

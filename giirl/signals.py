@@ -1,4 +1,4 @@
-"""How a run is asked to end before it is done: politely once, and then not."""
+"""Ctrl-C and SIGTERM: the first signal asks a run to save and stop, the second one interrupts it."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from types import FrameType
 
 
 class Stopped(Exception):
-    """The run was asked to end before it was done; what it had is saved."""
+    """The run was asked to stop before its end. A checkpoint is saved."""
 
 
 @contextmanager
 def stopping(stop: Event) -> Iterator[None]:
-    """While this lasts Ctrl-C and SIGTERM ask politely; the second time they interrupt."""
+    """In this block Ctrl-C and SIGTERM set `stop`; a second one raises KeyboardInterrupt."""
 
-    def ask(number: int, frame: FrameType | None) -> None:
+    def request_stop(number: int, frame: FrameType | None) -> None:
         if stop.is_set():
             raise KeyboardInterrupt
         stop.set()
 
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, request_stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
@@ -31,6 +31,6 @@ def stopping(stop: Event) -> Iterator[None]:
 
 
 def raise_if(stop: Event) -> None:
-    """Stopped, where somebody asked for it."""
+    """Raise Stopped if the event is set."""
     if stop.is_set():
         raise Stopped

@@ -1,21 +1,23 @@
-"""Counts with the uncertainty that belongs to them."""
+"""Success rates with confidence intervals, and measures of learning curves and rewards."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Z_95 = 1.959963984540054
-WINDOW = 100  # training episodes in a row, of which the success is told
+WINDOW = 100  # last training episodes of a task, whose success a run reports
+STREAK = 50  # consecutive training episodes of a task, whose success a study compares with a level
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
-    """How often a policy succeeded."""
+    """Successes among a number of episodes."""
 
     episodes: int
     successes: int
@@ -27,8 +29,18 @@ class Score:
     def __add__(self, other: Score) -> Score:
         return Score(episodes=self.episodes + other.episodes, successes=self.successes + other.successes)
 
+    def row(self, digits: int = 4) -> dict[str, Any]:
+        """Episodes, success rate and the ends of its interval, for a JSON result."""
+        low, high = self.interval()
+        return {
+            "episodes": self.episodes,
+            "success": self.success,
+            "low": round(low, digits),
+            "high": round(high, digits),
+        }
+
     def interval(self) -> tuple[float, float]:
-        """The 95 % score interval of a proportion (Wilson 1927)."""
+        """The 95 % score interval of the success rate (Wilson 1927)."""
         n, p = self.episodes, self.success
         centre = (p + Z_95**2 / (2 * n)) / (1 + Z_95**2 / n)
         half = Z_95 / (1 + Z_95**2 / n) * math.sqrt(p * (1 - p) / n + Z_95**2 / (4 * n**2))
@@ -36,7 +48,7 @@ class Score:
 
 
 def lowest_window(successes: Sequence[bool], window: int) -> float | None:
-    """The lowest mean over `window` outcomes in a row, or over all of them where there are fewer; None of none."""
+    """The lowest mean of `window` consecutive outcomes, or of all if there are fewer; None without outcomes."""
     width = min(window, len(successes))
     if width == 0:
         return None
@@ -51,11 +63,11 @@ Array = NDArray[np.float64]
 
 
 def goal_sensitivity(right: Array, wrong: Array, weight: Array | None = None) -> float:
-    """How often r(s,a|g) [...] of expert pairs is above their own r(s,a|g') [..., G], with goals g' other than theirs.
+    """The fraction of expert pairs (s, a) with r(s,a|g) > r(s,a|g'), given `right` [...] and `wrong` [..., G].
 
-    An AUC within each pair: 1/2 for a reward that does not read the instruction; equal counts half. Different (s, a)
-    are not compared, so a sum b(s,a) + c(g) cannot pass for reading. `weight` [...] says how often the expert does
-    each pair, where that is not alike.
+    g is the pair's own goal, g' are G other goals; ties count half. It is a paired AUC: 1/2 for a reward that ignores
+    the instruction. Different (s, a) are never compared, so a reward of the form b(s,a) + c(g) gets 1/2 as well.
+    `weight` [...] is how often the expert visits each pair, if not equally often.
     """
     own = right[..., None] if wrong.ndim > right.ndim else right
     above = (own > wrong) + 0.5 * (own == wrong)

@@ -45,7 +45,7 @@ _MODULES = {
     "StepResult": "giirl_core.types",
     "Trajectory": "giirl_core.types",
     "Verb": "giirl_core.types",
-    "Weights": "giirl_core.types",
+    "Weights": "giirl_core.weights",
     "load_config": "giirl_core.config_file",
     "read_episodes": "giirl_core.wire.messages",
     "write_episodes": "giirl_core.wire.messages",
@@ -68,8 +68,8 @@ if TYPE_CHECKING:
         StepResult,
         Trajectory,
         Verb,
-        Weights,
     )
+    from giirl_core.weights import Weights
     from giirl_core.wire.messages import read_episodes, write_episodes
     from giirl_core.wire.score_client import ScoreClient
 else:

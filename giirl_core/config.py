@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 from pydantic.dataclasses import dataclass
 
+from giirl_core.algorithms import ALGORITHMS, WorldName, algorithm_names
 from giirl_core.config_sections import (
     MAX_ACTORS,
     STRICT,
@@ -16,6 +17,7 @@ from giirl_core.config_sections import (
     DiscriminatorConfig,
     EvaluateConfig,
     GridConfig,
+    LearnerConfig,
     MetricsConfig,
     NetConfig,
     PolicyConfig,
@@ -36,6 +38,7 @@ __all__ = [
     "DiscriminatorConfig",
     "EvaluateConfig",
     "GridConfig",
+    "LearnerConfig",
     "MetricsConfig",
     "NetConfig",
     "PolicyConfig",
@@ -44,7 +47,17 @@ __all__ = [
     "StreamConfig",
 ]
 
+MAX_OPEN_PAGES = 64  # unless the settings say more: a page takes about 18 MB
 DEFAULT_TASKS = ("click-test", "click-test-2", "click-button", "enter-text")
+
+
+def _known_algorithm(name: str) -> str:
+    if name not in ALGORITHMS:
+        raise ValueError(f"wanted {algorithm_names()}")
+    return name
+
+
+Algorithm = Annotated[str, AfterValidator(_known_algorithm), Field(json_schema_extra={"enum": list(ALGORITHMS)})]
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -53,7 +66,7 @@ class Config:
 
     run: str = ""
     """Folder of the run. Empty makes `runs/NAME-TIME`."""
-    world: Literal["miniwob", "gridcraft"] = "miniwob"
+    world: WorldName = "miniwob"
     """MiniWoB pages in a browser, or LanguageGridCraft."""
     seed: Annotated[int, Field(ge=0, lt=1 << 16)] = 0
     """Seed of the nets, of all sampling and of the pages."""
@@ -61,7 +74,7 @@ class Config:
     """Everything in one thread, Ray processes on this machine, or Ray processes on a cluster."""
     browser: Literal["chrome", "fake"] = "chrome"
     """Real Chrome, or the fake browser of the tests, which plays a few tasks."""
-    algorithm: Literal["giirl", "cloning", "frozen", "true_reward", "sqil", "iq_learn"] = "giirl"
+    algorithm: Algorithm = "giirl"
     """What is trained; each is described in docs/algorithms.md. The grid has giirl and cloning."""
     reward_from: str = ""
     """With `algorithm=frozen`, and only there: the run whose learned reward is used."""
@@ -84,6 +97,7 @@ class Config:
     actors: ActorConfig = ActorConfig()
     scoring: ScoringConfig = ScoringConfig()
     stream: StreamConfig = StreamConfig()
+    learner: LearnerConfig = LearnerConfig()
     discriminator: DiscriminatorConfig = DiscriminatorConfig()
     policy: PolicyConfig = PolicyConfig()
     cloning: CloningConfig = CloningConfig()
@@ -93,9 +107,11 @@ class Config:
     grid: GridConfig = GridConfig()
 
     def __post_init__(self) -> None:
-        if self.world == "gridcraft" and self.algorithm not in ("giirl", "cloning"):
-            raise ValueError(f"algorithm {self.algorithm!r} does not play gridcraft: wanted 'giirl' or 'cloning'")
-        if (self.algorithm == "frozen") != bool(self.reward_from):
+        spec = ALGORITHMS[self.algorithm]
+        if self.world not in spec.worlds:
+            wanted = algorithm_names(world=self.world)
+            raise ValueError(f"algorithm {self.algorithm!r} does not play {self.world}: wanted {wanted}")
+        if (spec.reward == "frozen") != bool(self.reward_from):
             raise ValueError(
                 f"algorithm is {self.algorithm!r} and reward_from {self.reward_from!r}: "
                 "wanted reward_from=RUN with algorithm=frozen, and only with it"
@@ -107,6 +123,16 @@ class Config:
                 f"stream.policy_lag is 0 and held_out_goals is {self.held_out_goals}: lock-step trains on every "
                 "episode and cannot drop those of held-out goals; wanted one of the two changed, or runtime=serial"
             )
+
+    @property
+    def sampled_actions(self) -> int:
+        """Actions that an actor samples on each page for the reward to score; 0 where no learned reward is read."""
+        return self.policy.sampled_actions if ALGORITHMS[self.algorithm].has_learned_reward else 0
+
+    @property
+    def open_pages(self) -> int:
+        """Tabs that an actor opens for training."""
+        return self.actors.open_pages or max(self.actors.tabs, min(len(self.tasks), MAX_OPEN_PAGES))
 
     @property
     def quota(self) -> int:

@@ -13,6 +13,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from giirl_core.config import Config
+from giirl_core.renamed_settings import RENAMED
 
 _TREE = TypeAdapter(Config)
 
@@ -29,7 +30,7 @@ def load_config(path: Path | None, overrides: Sequence[str] = ()) -> Config:
     for override in overrides:
         key, equals, text = override.partition("=")
         if not equals or not key:
-            raise ValueError(f"{override!r} is no override: wanted key=value, for example seed=1")
+            raise ValueError(f"{override!r} is not an override: wanted key=value, for example seed=1")
         _set(tree, key, _value(text, defaults.get(key)))
     return parse_config(tree, where)
 
@@ -42,6 +43,8 @@ def parse_config(tree: dict[str, Any], where: str) -> Config:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+            if key in RENAMED:
+                raise ValueError(f"{where}: the setting {key!r} is now {RENAMED[key]!r}") from None
             near = difflib.get_close_matches(key, keys(), n=1, cutoff=0.0)
             raise ValueError(f"{where}: there is no setting {key!r}; the nearest is {near[0]!r}") from None
         raise ValueError(f"{where}: {key} = {first['input']!r}: {first['msg']}") from None

@@ -66,12 +66,17 @@ class ActorConfig:
     """The run ends with an error when fewer actors than this are left. [processes]"""
     tabs: Positive = 8
     """Episodes that one actor plays at the same time, each in a tab of one Chrome. [tabs]"""
+    open_pages: Annotated[int, Field(ge=0, le=256)] = 0
+    """Pages that one actor keeps open in training, while `tabs` of them are played. 0: one for each task, from `tabs`
+    to 64. [tabs]"""
+    step_delay_s: Annotated[float, Field(ge=0, le=60)] = 0.0
+    """Simulated time of every step, for experiments on pages that respond slowly. [s]"""
     call_timeout_s: Seconds = 10.0
     """Deadline of one call to the browser. [s]"""
     launch_timeout_s: Seconds = 60.0
     """Deadline of starting Chrome. [s]"""
-    score_timeout_s: Seconds = 5.0
-    """Deadline of one request to a reward service. After several tries the learner computes the rewards. [s]"""
+    score_timeout_s: Seconds = 1.0
+    """Deadline of one request to a reward service. After a second try the learner computes the rewards. [s]"""
     heartbeat_timeout_s: Seconds = 60.0
     """An actor that sends nothing for this long is replaced. [s]"""
 
@@ -88,14 +93,26 @@ class ScoringConfig:
 class StreamConfig:
     """How far actors may run ahead of the learner, and how old a trajectory may be."""
 
-    credits: Annotated[int, Field(ge=1, le=256)] = 32
-    """Trajectories of one actor that may be on their way to the learner or wait in its queue. [trajectories]"""
+    credits: Annotated[int, Field(ge=1, le=1024)] = 256
+    """Most trajectories of one actor that may be played, scored, sent or queued at a time. Flow control allows fewer,
+    so that none grows stale. [trajectories]"""
     policy_lag: Annotated[int, Field(ge=0, le=8)] = 4
     """Trajectories of a policy further behind than this are dropped and counted. 0 is lock-step. [versions]"""
-    reward_lag: Annotated[int, Field(ge=0, le=1)] = 1
+    reward_lag: Annotated[int, Field(ge=0, le=8)] = 4
     """Rewards further behind than this are computed again by the learner. [versions]"""
     take_timeout_s: Seconds = 120.0
     """The run ends with an error when the actors send too few trajectories for this long. [s]"""
+
+
+@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
+class LearnerConfig:
+    """Where the learner computes."""
+
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Device of the nets in training. `auto` takes a CUDA device where there is one; `serial` stays on the CPU then."""
+    threads: Annotated[int, Field(ge=0)] = 0
+    """Threads of the learner on the CPU. 0 takes the cores that the actors of a local run leave free, at least one, and
+    all cores of a learner that has a node of a cluster to itself. [threads]"""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)

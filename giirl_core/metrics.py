@@ -7,7 +7,6 @@ scrapes (see `write_targets`).
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -17,7 +16,7 @@ from wsgiref.simple_server import WSGIServer
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, start_http_server
 
-from giirl_core.files import atomic_write
+from giirl_core.files import write_json
 
 LAG_BUCKETS = (0, 1, 2, 3, 4, 6, 8, 12, 16)  # versions
 DURATION_BUCKETS = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # seconds
@@ -177,5 +176,4 @@ def write_targets(path: Path, run: str, targets: Mapping[str, str]) -> None:
         {"targets": [address], "labels": {"job": "giirl", "run": run, "process": process}}
         for process, address in sorted(targets.items())
     ]
-    with atomic_write(path) as file:
-        file.write(json.dumps(groups, indent=2).encode() + b"\n")
+    write_json(path, groups)

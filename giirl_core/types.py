@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Protocol
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giirl_core.actions import LEARNABLE_VERBS, NO_ELEMENT, NO_SPAN, TOKEN, VERB_FIELDS, Action, Goal, Verb
+from giirl_core.sampled_actions import SampledActions
 
 __all__ = [
     "DEMONSTRATION",
@@ -37,7 +37,6 @@ __all__ = [
     "StepResult",
     "Trajectory",
     "Verb",
-    "Weights",
     "page_seed",
 ]
 
@@ -97,26 +96,15 @@ class Page:
     focused: NDArray[np.bool_]  # [E]
     tampered: NDArray[np.bool_]  # [E] acted on earlier in this episode
     colour: tuple[str, ...] = ()  # [E] fill colour of an SVG shape, or colour in an element's own style; else ""
-    attributes: tuple[str, ...] = ()  # [E] id, placeholder, alt and aria-label, space-separated
     shape: tuple[str, ...] = ()  # [E] kind of an SVG shape and its corners in px, "triangle 10,40 20,20 30,40"; else ""
+    attributes: tuple[str, ...] = ()  # [E] id, placeholder, alt and aria-label of the element, space-separated
 
     def __post_init__(self) -> None:
         rows = len(self.tag)
-        for name in ("colour", "shape", "attributes"):  # most pages have no shapes: () stands for a column of ""
+        for name in ("colour", "shape", "attributes"):  # optional columns: () stands for a column of ""
             object.__setattr__(self, name, getattr(self, name) or ("",) * rows)
-        for name in (
-            "text",
-            "value",
-            "classes",
-            "ref",
-            "parent",
-            "box",
-            "focused",
-            "tampered",
-            "colour",
-            "shape",
-            "attributes",
-        ):
+        arrays = ("ref", "parent", "box", "focused", "tampered")
+        for name in ("text", "value", "classes", "colour", "shape", "attributes", *arrays):
             if len(getattr(self, name)) != rows:
                 raise ValueError(f"Page.{name} has {len(getattr(self, name))} rows, Page.tag has {rows}")
         if self.box.shape != (rows, 4):
@@ -208,12 +196,13 @@ class StepResult:
 class Browser(Protocol):
     """K browser tabs, each with one episode at a time. `reset` opens episodes and `step` acts, in many tabs at once.
 
-    Keys are tab numbers from 0 to `tabs` - 1. The loop of an actor:
+    Keys are tab numbers from 0 to `tabs` - 1. `picture` returns a PNG of an area (left, top, width, height in CSS px),
+    or b"" from a browser without screenshots. The loop of an actor:
 
-        seen = browser.reset({tab: next_episode() for tab in range(browser.tabs)})
+        observations = browser.reset({tab: next_episode() for tab in range(browser.tabs)})
         while True:
-            commands = {tab: Command.of(act(o), o, following=next_episode()) for tab, o in seen.items()}
-            seen = {tab: result.observation for tab, result in browser.step(commands).items()}
+            commands = {tab: Command.of(act(o), o, following=next_episode()) for tab, o in observations.items()}
+            observations = {tab: result.observation for tab, result in browser.step(commands).items()}
     """
 
     tabs: int
@@ -222,27 +211,9 @@ class Browser(Protocol):
 
     def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]: ...
 
+    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes: ...
+
     def close(self) -> None: ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SampledActions:
-    """M further actions on each page of a trajectory, drawn but not taken: the reward of each can still be learned from.
-
-    Half of them are the policy's, half uniform over what is legal.
-    """
-
-    choices: NDArray[np.int16]  # [T, M, 4] verb, element, first and last word (-1 where nothing is typed)
-    logp: NDArray[np.float32]  # [T, M] nats, log mu(a | s_t, g) of the policy that drew, of the uniform half too
-    rewards: NDArray[np.float32]  # [T, M] r(s_t, a | g) of the trajectory's reward_version; zeros while unscored
-
-    def __post_init__(self) -> None:
-        steps = self.choices.shape[:2]
-        if self.choices.shape != (*steps, 4) or self.logp.shape != steps or self.rewards.shape != steps:
-            raise ValueError(
-                f"SampledActions.choices has shape {self.choices.shape}, .logp {self.logp.shape} and .rewards "
-                f"{self.rewards.shape}, wanted [T, M, 4], [T, M] and [T, M]"
-            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -262,35 +233,33 @@ class Trajectory:
     rewards: NDArray[np.float32]  # [T] r(s_t, a_t | g) of reward_version; zeros while unscored
     policy_version: int  # oldest learner step that produced mu; -1 marks a demonstration
     reward_version: int = UNSCORED  # learner step of the reward that scored it
-    sampled: SampledActions | None = None  # where nobody asked for any
+    sampled: SampledActions | None = None  # None without sampled actions
 
     def __post_init__(self) -> None:
-        steps = len(self.pages)
+        steps, tokens = len(self.pages), len(self.goal.tokens)
         if steps == 0:
             raise ValueError("Trajectory.pages is empty, wanted at least one step")
         for name in ("actions", "behaviour_logp", "rewards"):
             if len(getattr(self, name)) != steps:
                 raise ValueError(f"Trajectory.{name} has {len(getattr(self, name))} steps, .pages has {steps}")
         if self.sampled is not None:
-            _check_sampled(self.sampled, self.pages, self.goal)
+            self.sampled.check([len(page) for page in self.pages], len(self.goal.tokens))
         for t, (page, action) in enumerate(zip(self.pages, self.actions, strict=True)):
             if max(action.element, action.to) >= len(page):
                 raise ValueError(f"step {t} acts on element {max(action.element, action.to)}, its page has {len(page)}")
-            if action.end >= len(self.goal.tokens):
-                raise ValueError(
-                    f"step {t} types tokens {action.start}..{action.end}, the goal has {len(self.goal.tokens)}"
-                )
+            if action.end >= tokens:
+                raise ValueError(f"step {t} types tokens {action.start}..{action.end}, the goal has {tokens}")
 
     def __len__(self) -> int:
         return len(self.pages)
 
     @property
     def reward_count(self) -> int:
-        """Rewards that a reward service computes for it: of every action taken and every sampled one."""
+        """Number of rewards to compute: one for each action taken and each sampled action."""
         return self.rewards.size + (self.sampled.rewards.size if self.sampled is not None else 0)
 
     def with_rewards(self, rewards: NDArray[np.float32], version: int) -> Trajectory:
-        """The same with the rewards [T * (1 + M)] of one reward version: per step of the action taken, then the sampled."""
+        """The trajectory with `rewards` [T * (1 + M)] of one version: per step, action taken, then sampled ones."""
         table = rewards.reshape(len(self), -1)
         sampled = self.sampled if self.sampled is None else replace(self.sampled, rewards=table[:, 1:])
         return replace(self, rewards=table[:, 0], sampled=sampled, reward_version=version)
@@ -303,31 +272,6 @@ class Trajectory:
                     f"{self.task} with seed {self.seed}, step {t} is {action.verb.name} {action.literal!r:.40} on "
                     f"element {action.element}: the nets only click elements and type words of the goal"
                 )
-
-
-def _check_sampled(sampled: SampledActions, pages: Sequence[Page], goal: Goal) -> None:
-    """ValueError for a sampled action that no page of the trajectory allows."""
-    if len(sampled.choices) != len(pages):
-        raise ValueError(f"Trajectory.sampled has {len(sampled.choices)} steps, .pages has {len(pages)}")
-    verb, element, start, end = np.moveaxis(sampled.choices, 2, 0)
-    sizes = np.array([[len(page)] for page in pages])
-    typed = verb == Verb.TYPE
-    words = len(goal.tokens)
-    legal = (
-        (element >= 0)
-        & (element < sizes)
-        & np.where(
-            typed,
-            (start >= 0) & (start <= end) & (end < words),
-            (verb == Verb.CLICK) & (start == NO_SPAN) & (end == NO_SPAN),
-        )
-    )
-    if not legal.all():
-        t, m = (int(place) for place in np.argwhere(~legal)[0])
-        raise ValueError(
-            f"sampled action {m} of step {t} is {sampled.choices[t, m].tolist()}, wanted a click or words to type "
-            f"on a page with {len(pages[t])} elements under a goal with {words} words"
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -349,25 +293,3 @@ class Episode:
 
     trajectory: Trajectory
     outcome: Outcome
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Weights:
-    """The parameters of a net at one learner step, as safetensors bytes with a checksum."""
-
-    version: int  # learner step
-    blob: bytes
-    digest: str  # sha256 of blob, hex
-
-    @classmethod
-    def seal(cls, version: int, blob: bytes) -> Weights:
-        """Weights with the checksum of `blob`."""
-        return cls(version=version, blob=blob, digest=hashlib.sha256(blob).hexdigest())
-
-    def check(self) -> None:
-        """Raise ValueError when the checksum does not match the blob."""
-        found = hashlib.sha256(self.blob).hexdigest()
-        if found != self.digest:
-            raise ValueError(
-                f"weights version {self.version} are corrupt: sha256 {found[:12]}, wanted {self.digest[:12]}"
-            )

@@ -12,11 +12,8 @@ from gridcraft.instructions import Pair
 from gridcraft.layouts import colour_number
 from gridcraft.planning import (
     distance_to,
-    expected_return,
     expected_reward,
     next_distribution,
-    normalized_return,
-    occupancy,
     policy_per_step,
     solve,
 )
@@ -41,36 +38,12 @@ def state_mean(reward: Array) -> Array:
     return mean
 
 
-def incoming_mean(world: World, reward: Array) -> Array:
-    """[S] the mean of r [S, A] over the transitions into s from other cells; nan where there are none."""
-    moves = world.next_state != np.arange(len(world))[:, None]
-    entered = world.next_state[moves]
-    total = np.bincount(entered, weights=reward[moves], minlength=len(world))
-    count = np.bincount(entered, minlength=len(world))
-    mean: Array = np.divide(total, count, out=np.full(len(world), np.nan), where=count > 0)
-    return mean
-
-
 def reoptimise(world: World, learned: Array, discount: float = DISCOUNT) -> Array:
     """[S, A] the policy of greedy value iteration on the frozen reward; optimal actions share the probability.
 
     This measures the reward by an agent trained on nothing else (reward transfer; Fu, Luo and Levine 2018).
     """
     return solve(world, learned, discount=discount).pi
-
-
-def reoptimised_return(
-    world: World, learned: Array, true: Array, *, horizon: int = HORIZON, discount: float = DISCOUNT
-) -> float:
-    """The undiscounted true return of the policy re-optimised on the learned reward with `discount`."""
-    return expected_return(world, reoptimise(world, learned, discount), true, horizon=horizon)
-
-
-def reoptimised_normalized_return(
-    world: World, learned: Array, true: Array, *, horizon: int = HORIZON, discount: float = DISCOUNT
-) -> float:
-    """The same as a `normalized_return`: 1 for the optimal policy, 0 for the random one."""
-    return normalized_return(world, reoptimise(world, learned, discount), true, horizon=horizon)
 
 
 def pearson(x: Array, y: Array) -> float:
@@ -149,7 +122,7 @@ def avoid_rank(world: World, score: Array, pair: Pair) -> float:
     """The probability that an avoided cell has a lower score [S] than a neutral cell; ties count half.
 
     1/2 means that "avoid" was not learned. Neutral cells are neither goal nor avoided. The score is the
-    `state_mean` or `incoming_mean` of a reward; cells where it is nan are left out.
+    `state_mean` of a reward; cells where it is nan are left out.
     """
     avoid, neutral = _avoided_and_neutral(world, score, pair)
     return auc(score[neutral], score[avoid])
@@ -167,12 +140,6 @@ def matched_avoid_rank(world: World, score: Array, pair: Pair) -> float:
     wins = np.where(matched, (margin > 0) + 0.5 * (margin == 0), 0.0).sum(axis=1)
     matches = matched.sum(axis=1)
     return float((wins[matches > 0] / matches[matches > 0]).mean()) if matches.any() else math.nan
-
-
-def violation_step_fraction(world: World, pi: Array, pair: Pair, horizon: int = HORIZON) -> float:
-    """The exact fraction of steps that pi [S, A] or [T, S, A] takes on the avoided colour."""
-    avoid = world.colour == colour_number(pair.avoid)
-    return float(occupancy(world, pi, horizon)[:, avoid].sum() / horizon)
 
 
 def violation_rate(world: World, pi: Array, pair: Pair, horizon: int = HORIZON) -> float:

@@ -1,82 +1,62 @@
-"""Every algorithm by its name: Algorithm 1, its two halves alone, and what it is compared with on the same nets."""
+"""The training loop of every algorithm: Algorithm 1 and its baselines, on the same nets and demonstrations.
+
+`giirl_core.algorithms` describes each algorithm under the same name.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Protocol
+from collections.abc import Callable, Iterable
+from typing import Any, TypeAlias
 
 from giirl_core.config import Config
-from learner.giirl import Observe, giirl
-from learner.protocols import Cloning, Comparable, Net, Played, Read, RewardFn, Rewards, Source
+from learner.giirl import giirl
+from learner.protocols import BaselineLearning, Learning, Observe, Source
 
 
 def behavioural_cloning(
-    config: Config,
-    learner: Cloning[Played, Read, Net, Rewards, RewardFn],
-    source: Source[Played],
-    steps: Iterable[int],
-    observe: Observe,
+    config: Config, learner: Learning, source: Source, steps: Iterable[int], observe: Observe
 ) -> None:
-    """Behavioural cloning on the same net and demonstrations; rollouts are only watched."""
+    """Behavioural cloning (figure 4.8 of Luo 2019). Rollouts are played only to report the policy's success."""
     for step in steps:
         source.take(config.rollout_batch)
         observe(step, learner.cloner.update(learner.demos.sample(config.cloning.batch)))
 
 
 def train_on_frozen_reward(
-    config: Config,
-    learner: Comparable[Played, Read, Net, Rewards, RewardFn],
-    source: Source[Played],
-    steps: Iterable[int],
-    observe: Observe,
+    config: Config, learner: Learning, source: Source, steps: Iterable[int], observe: Observe
 ) -> None:
-    """A fresh policy on a reward that was learned before and stays as it is."""
+    """Train a new policy on the learned reward of another run, which stays fixed."""
     for step in steps:
         rollouts = learner.featurise(source.take(config.rollout_batch))
         rewards = learner.discriminator.rewards(rollouts, version=step + 1)
-        observe(step, learner.policy.update(rollouts, rewards, learner.discriminator.reward_fn))
+        observe(step, learner.policy.update(rollouts, rewards))
 
 
 def train_on_env_reward(
-    config: Config,
-    learner: Comparable[Played, Read, Net, Rewards, RewardFn],
-    source: Source[Played],
-    steps: Iterable[int],
-    observe: Observe,
+    config: Config, learner: BaselineLearning, source: Source, steps: Iterable[int], observe: Observe
 ) -> None:
-    """The same policy optimisation on the page's own sparse reward, which the source then tells."""
+    """Train a policy on the page's own sparse reward, which `source` stores in the rollouts."""
     for step in steps:
         rollouts = learner.featurise(source.take(config.rollout_batch))
-        observe(step, learner.policy.update(rollouts, learner.carried_rewards(rollouts), None))
+        observe(step, learner.policy.update(rollouts, learner.carried_rewards(rollouts)))
 
 
 def soft_q_imitation(
-    config: Config,
-    learner: Comparable[Played, Read, Net, Rewards, RewardFn],
-    source: Source[Played],
-    steps: Iterable[int],
-    observe: Observe,
+    config: Config, learner: BaselineLearning, source: Source, steps: Iterable[int], observe: Observe
 ) -> None:
-    """SQIL or IQ-Learn: soft Q-learning from demonstrations and rollouts, with no reward in between."""
+    """SQIL (Reddy et al. 2020) or IQ-Learn (Garg et al. 2021): soft Q-learning from demonstrations and rollouts.
+
+    They learn no reward.
+    """
     for step in steps:
         rollouts = learner.featurise(source.take(config.rollout_batch))
         observe(step, learner.soft_q.update(learner.demos.sample(config.soft_q.batch), rollouts))
 
 
-class Algorithm(Protocol):
-    """A loop over all that a comparable learner can do."""
+# The learner is Any, because it is the web learner or the grid learner, depending on the world.
+Loop: TypeAlias = Callable[[Config, Any, Source, Iterable[int], Observe], None]
 
-    def __call__(
-        self,
-        config: Config,
-        learner: Comparable[Played, Read, Net, Rewards, RewardFn],
-        source: Source[Played],
-        steps: Iterable[int],
-        observe: Observe,
-    ) -> None: ...
-
-
-ALGORITHMS: dict[str, Algorithm] = {
+LOOPS: dict[str, Loop] = {
     "giirl": giirl,
     "cloning": behavioural_cloning,
     "frozen": train_on_frozen_reward,

@@ -1,4 +1,4 @@
-"""Trajectories with their features beside them, and the ways to draw steps from many."""
+"""Training data of the web learner: trajectories with their features, the demonstrations, and the replay buffer."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from giirl_core.nets.batch import ActionBatch, Batch, collate, collate_actions, collate_sampled
+from giirl_core.nets.action_batch import ActionBatch, collate_actions, collate_sampled
+from giirl_core.nets.batch import Batch, collate
 from giirl_core.nets.features import Features, featurise
 from giirl_core.nets.language import Vectors
 from giirl_core.types import Action, Goal, Trajectory, Verb
 
-
-WRONG_GOALS_KEPT = 4096  # features of expert pages under wrong goals that are kept
+WRONG_GOAL_CACHE = 4096  # expert pages under wrong goals whose features are cached
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Example:
-    """A trajectory and what the nets see of each of its steps."""
+    """A trajectory with the features of its T pages under its goal."""
 
     trajectory: Trajectory
     features: tuple[Features, ...]  # [T]
@@ -30,20 +30,20 @@ class Example:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One (s, a, g)."""
+    """One (s, a, g): the features of a page under a goal, and the action."""
 
     features: Features
     action: Action
 
 
 def featurise_trajectory(trajectory: Trajectory, vectors: Vectors) -> Example:
-    """Compute the features once; an example is then used many times."""
+    """Compute the features of a trajectory, once for all its uses in training."""
     rows = tuple(featurise(page, trajectory.goal, vectors) for page in trajectory.pages)
     return Example(trajectory, rows)
 
 
 def steps_of(examples: Sequence[Example]) -> list[Step]:
-    """Every step of every example, in order."""
+    """All steps of all examples, in order."""
     return [
         Step(row, action)
         for example in examples
@@ -52,64 +52,71 @@ def steps_of(examples: Sequence[Example]) -> list[Step]:
 
 
 def collate_steps(steps: Sequence[Step]) -> tuple[Batch, ActionBatch]:
-    """Steps as tensors."""
+    """B steps as tensors: the pages, and the actions [B, 1]."""
     return collate([step.features for step in steps]), collate_actions([step.action for step in steps])
 
 
-def sampled_of(examples: Sequence[Example]) -> tuple[ActionBatch, Tensor]:
-    """The actions [sum T, M] sampled on every page of every example, and their log-probabilities then, nats."""
+def sampled_actions_of(examples: Sequence[Example]) -> tuple[ActionBatch, Tensor]:
+    """The sampled actions [sum T, M] of all examples, and their log-probabilities when they were sampled, nats.
+
+    ValueError if the examples have different M.
+    """
     return collate_sampled([example.trajectory for example in examples])
 
 
 def carried_rewards(example: Example) -> Tensor:
-    """[T, 1 + M] the rewards that a rollout brought along, of the action taken and of the sampled ones."""
+    """[T, 1 + M] the rewards stored in a rollout: those of the actions taken, then those of the sampled actions."""
     trajectory = example.trajectory
     taken = torch.from_numpy(np.array(trajectory.rewards)).unsqueeze(1)
     return taken if trajectory.sampled is None else torch.cat([taken, torch.tensor(trajectory.sampled.rewards)], dim=1)
 
 
 class ExpertSampler:
-    """D_E: expert trajectories with their goals, drawn evenly by task; and the same steps under wrong goals."""
+    """D_E, the demonstrations with their goals: samples trajectories, and expert steps under wrong goals."""
 
     def __init__(self, demonstrations: Sequence[Trajectory], vectors: Vectors, rng: np.random.Generator) -> None:
         self._rng = rng
-        self._featurise = functools.lru_cache(WRONG_GOALS_KEPT)(  # the same few pages meet the same few goals again
+        self._featurise = functools.lru_cache(WRONG_GOAL_CACHE)(  # few pages and few goals, so the pairs recur
             lambda example, t, goal: featurise(example.trajectory.pages[t], goal, vectors)
         )
-        self._of_task: dict[str, list[Example]] = {}
+        self._examples: dict[str, list[Example]] = {}  # of each task
         for trajectory in demonstrations:
-            self._of_task.setdefault(trajectory.task, []).append(featurise_trajectory(trajectory, vectors))
-        self._tasks = sorted(self._of_task)
-        # What experts do under each goal: doing it is not wrong there, so it is no negative.
-        self._right: dict[tuple[str, str], set[tuple[Verb, str, str]]] = {}
-        self._goals: dict[str, list[Goal]] = {}
-        for task, examples in self._of_task.items():
+            self._examples.setdefault(trajectory.task, []).append(featurise_trajectory(trajectory, vectors))
+        self._tasks = sorted(self._examples)
+        self._goals: dict[str, list[Goal]] = {}  # of each task
+        # What experts do under each (task, goal): such an action is correct there, so it is not used as a negative.
+        self._expert_actions: dict[tuple[str, str], set[tuple[Verb, str, str]]] = {}
+        for task, examples in self._examples.items():
             self._goals[task] = sorted({e.trajectory.goal for e in examples}, key=lambda goal: goal.utterance)
             for example in examples:
-                right = self._right.setdefault((task, example.trajectory.goal.utterance), set())
-                right |= {_signature(example.trajectory, t) for t in range(len(example.trajectory))}
+                signatures = self._expert_actions.setdefault((task, example.trajectory.goal.utterance), set())
+                signatures |= {_signature(example.trajectory, t) for t in range(len(example.trajectory))}
 
     def sample(self, trajectories: int) -> list[Example]:
-        """tau_E, g_E: every task equally likely, then every demonstration of it. ValueError when there is none."""
+        """tau_E, g_E: `trajectories` demonstrations with replacement, uniform over tasks, then within the task.
+
+        ValueError if there are no demonstrations.
+        """
         if not self._tasks:
             raise ValueError("there are no demonstrations to learn from")
-        drawn = []
+        sampled = []
         for _ in range(trajectories):
-            examples = self._of_task[self._tasks[self._rng.integers(len(self._tasks))]]
-            drawn.append(examples[self._rng.integers(len(examples))])
-        return drawn
+            examples = self._examples[self._tasks[self._rng.integers(len(self._tasks))]]
+            sampled.append(examples[self._rng.integers(len(examples))])
+        return sampled
 
     def wrong_goals(self, examples: Sequence[Example]) -> list[Step]:
-        """Expert steps under another goal of their task, where no expert does the same under that goal.
+        """Expert steps under another goal of their task, as negatives for the discriminator: at most one per example.
 
-        Steps that are right whatever the goal (pressing Submit) and tasks with one goal give none.
+        Steps that an expert also takes under the other goal, such as pressing Submit, are left out, because they are
+        correct there. A task with a single goal has none.
         """
         wrong = []
         for example in examples:
             own, goals = example.trajectory, self._goals[example.trajectory.task]
             other = goals[self._rng.integers(len(goals))]
             t = int(self._rng.integers(len(own)))
-            if other == own.goal or _signature(own, t) in self._right[(own.task, other.utterance)]:
+            if other == own.goal or _signature(own, t) in self._expert_actions[(own.task, other.utterance)]:
                 continue
             action = own.actions[t]
             start, end = other.find(action.text(own.goal)) if action.verb is Verb.TYPE else (-1, -1)
@@ -119,13 +126,16 @@ class ExpertSampler:
 
 
 def _signature(trajectory: Trajectory, t: int) -> tuple[Verb, str, str]:
-    """An action apart from its page: verb, the element's text or tag, and what is typed."""
+    """The action of step t independent of its page: verb, text or tag of the element, typed text."""
     page, action = trajectory.pages[t], trajectory.actions[t]
     return action.verb, page.text[action.element] or page.tag[action.element], action.text(trajectory.goal)
 
 
 class Replay:
-    """A bounded uniform sample of all trajectories so far (reservoir sampling, Vitter 1985)."""
+    """The replay buffer: a uniform sample of `size` of all trajectories added (reservoir sampling, Vitter 1985).
+
+    `seen` is the number of trajectories added.
+    """
 
     def __init__(self, size: int, rng: np.random.Generator) -> None:
         self.size, self._rng = size, rng
@@ -137,30 +147,30 @@ class Replay:
             self.seen += 1
             if len(self.examples) < self.size:
                 self.examples.append(example)
-            elif (place := int(self._rng.integers(self.seen))) < self.size:
-                self.examples[place] = example
+            elif (index := int(self._rng.integers(self.seen))) < self.size:
+                self.examples[index] = example
 
     def sample(self, count: int) -> list[Example]:
-        """Trajectories drawn with replacement; none while empty."""
+        """`count` trajectories, sampled with replacement; none from an empty buffer."""
         if not self.examples:
             return []
         return [self.examples[i] for i in self._rng.integers(len(self.examples), size=count)]
 
 
-def pick_step(example: Example, rng: np.random.Generator) -> Step:
-    """One of its steps, all equally likely."""
+def random_step(example: Example, rng: np.random.Generator) -> Step:
+    """One step of the example, uniformly at random."""
     t = int(rng.integers(len(example.features)))
     return Step(example.features[t], example.trajectory.actions[t])
 
 
 def last_step(example: Example, rng: np.random.Generator) -> Step:
-    """Its last step: of an episode that succeeded, the one that reached the goal."""
+    """The last step of the example; in a successful episode, the one that reached the goal. `rng` is not used."""
     del rng
     return Step(example.features[-1], example.trajectory.actions[-1])
 
 
-def pad(rows: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-    """[B, T] from B rows of different lengths, zeros past their ends."""
+def pad_rows(rows: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """[B, T] B rows of different lengths as one table, padded with zeros at their ends."""
     table = np.zeros((len(rows), max(len(row) for row in rows)), dtype=np.float32)
     for b, row in enumerate(rows):
         table[b, : len(row)] = row

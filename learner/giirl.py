@@ -8,21 +8,13 @@ actors --- tau_pi, g_pi ---> D: expert or policy? --- r(s, a | g) ---> pi: maxim
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 from giirl_core.config import Config
-from learner.protocols import Learning, Net, Played, Read, RewardFn, Rewards, Source, Stats
-
-Observe = Callable[[int, Stats], None]
+from learner.protocols import Learning, Observe, Source
 
 
-def giirl(
-    config: Config,
-    learner: Learning[Played, Read, Net, Rewards, RewardFn],
-    source: Source[Played],
-    steps: Iterable[int],
-    observe: Observe,
-) -> None:
+def giirl(config: Config, learner: Learning, source: Source, steps: Iterable[int], observe: Observe) -> None:
     """Learn a reward and a policy together. `observe` publishes, reports and saves after every step."""
     demos, discriminator, policy = learner.demos, learner.discriminator, learner.policy
     for step in steps:

@@ -1,4 +1,4 @@
-"""All that learning changes, in one place: nets, optimisers, samples and chance; saved and restored whole."""
+"""The complete training state of the web learner (nets, optimisers, replay buffer, RNG state), with save and load."""
 
 from __future__ import annotations
 
@@ -17,20 +17,25 @@ from giirl_core.metrics import Metrics
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.parameters import hash_nets, load_net, load_optimiser, seal_net, seal_optimiser
 from giirl_core.nets.reward import build_policy, build_reward
-from giirl_core.types import Episode, Outcome, Trajectory, Weights
+from giirl_core.types import Episode, Outcome, Trajectory
+from giirl_core.weights import Weights
 from giirl_core.wire.messages import read_episodes, write_episodes
 from learner.actor_critic import ActorCritic
 from learner.cloning import Cloner
 from learner.data import Example, ExpertSampler, Replay, carried_rewards, featurise_trajectory
+from learner.devices import learner_device
 from learner.discriminator import Discriminator
-from learner.schedules import anneal, anneal_reward, linear_decay
+from learner.schedules import anneal, anneal_discriminator, linear_decay
 from learner.soft_q import SoftQ
 
-UNKNOWN_OUTCOME = Outcome(raw_reward=0.0, ended=False)  # replay is for training: it never knew
+UNKNOWN_OUTCOME = Outcome(raw_reward=0.0, ended=False)  # the replay buffer stores no outcomes
 
 
 class Learner:
-    """pi_theta, D_phi and what trains them. Same config, demonstrations and rollouts: same bytes."""
+    """pi_theta, D_phi and their update rules for web pages.
+
+    Deterministic on the CPU with one thread: the same config, demonstrations and rollouts give the same parameters.
+    """
 
     def __init__(self, config: Config, demonstrations: Sequence[Trajectory], metrics: Metrics) -> None:
         torch.manual_seed(config.seed)
@@ -39,9 +44,12 @@ class Learner:
         self._generator = torch.Generator().manual_seed(config.seed)
         self.demos = ExpertSampler(demonstrations, self.vectors, self._rng)
         self.replay = Replay(config.discriminator.replay_size, self._rng)
+        device = learner_device(config)
+        reward = build_reward(config)
+        reward.net.to(device)
         self.discriminator = Discriminator(
             config.discriminator,
-            build_reward(config),
+            reward,
             self.demos,
             self.replay,
             self._rng,
@@ -49,52 +57,55 @@ class Learner:
             reward_lag=config.stream.reward_lag,
             metrics=metrics,
         )
-        net = build_policy(config)
+        net = build_policy(config).to(device)
         self.policy = ActorCritic(config.policy, net, metrics=metrics)
         self.cloner = Cloner(config.cloning, net, self._generator, metrics=metrics)
         self.soft_q = SoftQ(
             config.soft_q, config.algorithm, net, self.replay, self._rng, self._generator, metrics=metrics
         )
         self.config = config
-        self.version = 0  # steps done
+        self.version = 0  # iterations done
 
     def featurise(self, trajectories: Sequence[Trajectory]) -> list[Example]:
-        """Trajectories as the nets see them."""
+        """Trajectories with the features that the nets read."""
         return [featurise_trajectory(trajectory, self.vectors) for trajectory in trajectories]
 
     def carried_rewards(self, rollouts: Sequence[Example]) -> list[Tensor]:
-        """The rewards [T, 1] that rollouts brought along, whoever gave them."""
+        """The rewards [T, 1 + M] stored in the rollouts."""
         return [carried_rewards(example) for example in rollouts]
 
     def anneal(self, step: int) -> None:
-        """Set the rates of step 0 .. iterations - 1: a reward that still moves unsettles a solved policy."""
-        done = step / max(self.config.iterations - 1, 1)
-        anneal_reward(self.discriminator, done)
-        anneal(self.policy, done)
-        self.policy.entropy = linear_decay(self.config.policy.entropy, self.config.policy.final_entropy, done)
-        anneal(self.cloner, done)
-        anneal(self.soft_q, done)
+        """Set the learning rates and the entropy weight for `step` in 0 .. iterations - 1.
+
+        They fall over the run, because a reward that keeps changing destabilises a policy that has solved its tasks.
+        """
+        progress = step / max(self.config.iterations - 1, 1)
+        anneal_discriminator(self.discriminator, progress)
+        anneal(self.policy, progress)
+        self.policy.entropy = linear_decay(self.config.policy.entropy, self.config.policy.final_entropy, progress)
+        anneal(self.cloner, progress)
+        anneal(self.soft_q, progress)
 
     def bc_warmup(self) -> None:
-        """Clone for `policy.bc_warmup_updates` updates before anything else; none by default."""
+        """Behavioural cloning for `policy.bc_warmup_updates` updates, to be called before the first iteration."""
         for _ in range(self.config.policy.bc_warmup_updates):
             self.cloner.update(self.demos.sample(self.config.cloning.batch))
-        self.soft_q.follow(1.0)
+        self.soft_q.update_target(1.0)
 
-    def take_reward(self, weights: Weights) -> None:
-        """Reward with another run's net; ValueError when it has another shape."""
+    def load_reward(self, weights: Weights) -> None:
+        """Use the reward net of another run. ValueError if its parameters have other names or shapes."""
         load_net(self.discriminator.model.net, weights)
 
     def weights(self) -> tuple[Weights, Weights]:
-        """Policy and reward as they are now."""
+        """The current parameters of the policy and of the reward."""
         return seal_net(self.policy.net, self.version), seal_net(self.discriminator.model.net, self.version)
 
     def hash(self) -> str:
-        """sha256 of every parameter, hex."""
+        """The sha256 of the parameters of policy and reward, in hex."""
         return hash_nets(self.policy.net, self.discriminator.model.net)
 
     def save(self, folder: Path) -> None:
-        """Write everything that the next step depends on into an empty folder."""
+        """Write the state that the next iteration depends on into an empty folder."""
         for name, net in self._nets().items():
             (folder / f"{name}.safetensors").write_bytes(seal_net(net, self.version).blob)
         for name, optimiser in self._optimisers().items():
@@ -111,11 +122,11 @@ class Learner:
         (folder / "learner.json").write_text(json.dumps(state, indent=2))
 
     def load(self, folder: Path) -> None:
-        """The inverse of `save`; ValueError when the checkpoint is of other nets, or of no learner at all."""
+        """The inverse of `save`. ValueError if the files are of a learner with other nets, or of no learner."""
         try:
             self._load(folder)
         except (LookupError, TypeError, AttributeError, OverflowError, RuntimeError, SafetensorError) as error:
-            raise ValueError(f"{folder} is no checkpoint of such a learner: {error!r:.200}") from error
+            raise ValueError(f"{folder} is no checkpoint of a learner with these settings: {error!r:.200}") from error
 
     def _load(self, folder: Path) -> None:
         state: dict[str, Any] = json.loads((folder / "learner.json").read_text())
@@ -132,7 +143,7 @@ class Learner:
 
     def _nets(self) -> dict[str, nn.Module]:
         nets: dict[str, nn.Module] = {"policy": self.policy.net, "reward": self.discriminator.model.net}
-        return {**nets, "target": self.soft_q.target} if self.config.algorithm == "sqil" else nets
+        return nets if self.soft_q.target is self.policy.net else {**nets, "target": self.soft_q.target}
 
     def _optimisers(self) -> Mapping[str, torch.optim.Optimizer]:
         return {

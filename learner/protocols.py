@@ -1,109 +1,94 @@
-"""The parts that learn in one world, with the verbs that Algorithm 1 uses: of web pages or of a grid.
+"""The parts that Algorithm 1 is made of, with the verbs that it uses.
 
-`Played` is what a source plays, `Read` the same as nets read it, `Net` pi_theta, `Rewards` r(s_t, a_t | g) of
-rollouts, and `RewardFn` a function that tells r(s, a | g) of anything.
+The web learner (`learner.learner`) and the grid learner (`learner.grid.learner`) both have them. The two differ in what
+passes between the parts, so that is `Any` here, under these names:
+
+                web pages                          grid
+    Episodes    list of Trajectory                 Steps
+    Batch       list of Example (with features)    Steps
+    Rewards     list of tensors [T, 1 + M]         tensor [N]
+    Net         PolicyNet                          QNet
 """
 
 from __future__ import annotations
 
-from typing import Protocol, TypeVar
+from collections.abc import Callable
+from typing import Any, Protocol, TypeAlias
 
-Played = TypeVar("Played")
-Played_co = TypeVar("Played_co", covariant=True)
-Played_contra = TypeVar("Played_contra", contravariant=True)
-Read = TypeVar("Read")
-Read_co = TypeVar("Read_co", covariant=True)
-Read_contra = TypeVar("Read_contra", contravariant=True)
-Net = TypeVar("Net")
-Net_co = TypeVar("Net_co", covariant=True)
-Net_contra = TypeVar("Net_contra", contravariant=True)
-Rewards = TypeVar("Rewards")
-Rewards_co = TypeVar("Rewards_co", covariant=True)
-Rewards_contra = TypeVar("Rewards_contra", contravariant=True)
-RewardFn = TypeVar("RewardFn")
-RewardFn_co = TypeVar("RewardFn_co", covariant=True)
-RewardFn_contra = TypeVar("RewardFn_contra", contravariant=True)
+Episodes: TypeAlias = Any  # played episodes
+Batch: TypeAlias = Any  # the same as the nets read them
+Rewards: TypeAlias = Any  # r(s_t, a_t | g) of every step of a batch; on web pages also of M sampled actions
+Net: TypeAlias = Any  # pi_theta
 
-Stats = dict[str, float]  # what an update tells, by name
+EXPERT = "expert"  # the discriminator's positive source; its negative sources have the names of their settings
+ACCURACY = "d_accuracy_"  # and the name of a source: the fraction of its samples on the right side of D = 1/2
+Stats = dict[str, float]  # what an update reports: loss, accuracy, entropy and so on, by name
+Observe = Callable[[int, Stats], None]  # called after every step; publishes, reports and saves
 
 
-class Source(Protocol[Played_co]):
-    """Executes pi."""
+class Source(Protocol):
+    """Executes the policy in the environment."""
 
-    def take(self, episodes: int, /) -> Played_co: ...
-
-
-class Demos(Protocol[Read_co]):
-    """D_E."""
-
-    def sample(self, episodes: int, /) -> Read_co: ...
+    def take(self, episodes: int, /) -> Episodes: ...
 
 
-class RewardLearner(Protocol[Read_contra, Net_contra, Rewards_co, RewardFn_co]):
-    """D_phi, read as a reward."""
+class Demos(Protocol):
+    """D_E, the expert demonstrations."""
 
-    @property
-    def reward_fn(self) -> RewardFn_co: ...
-
-    def update(self, expert: Read_contra, rollouts: Read_contra, policy: Net_contra, /) -> Stats: ...
-
-    def rewards(self, rollouts: Read_contra, /, version: int) -> Rewards_co: ...
+    def sample(self, episodes: int, /) -> Batch: ...
 
 
-class PolicyLearner(Protocol[Read_contra, Net_co, Rewards_contra, RewardFn_contra]):
+class RewardLearner(Protocol):
+    """D_phi and its optimiser. The reward is computed from D_phi."""
+
+    def update(self, expert: Batch, rollouts: Batch, policy: Net, /) -> Stats: ...
+
+    def rewards(self, rollouts: Batch, /, version: int) -> Rewards: ...
+
+
+class PolicyLearner(Protocol):
     """pi_theta and its optimiser."""
 
     @property
-    def net(self) -> Net_co: ...
+    def net(self) -> Net: ...
 
-    def update(self, rollouts: Read_contra, rewards: Rewards_contra, reward_fn: RewardFn_contra, /) -> Stats: ...
-
-
-class Learning(Protocol[Played_contra, Read, Net, Rewards, RewardFn]):
-    """All that Algorithm 1 needs."""
-
-    @property
-    def demos(self) -> Demos[Read]: ...
-
-    @property
-    def discriminator(self) -> RewardLearner[Read, Net, Rewards, RewardFn]: ...
-
-    @property
-    def policy(self) -> PolicyLearner[Read, Net, Rewards, RewardFn]: ...
-
-    def featurise(self, episodes: Played_contra, /) -> Read: ...
+    def update(self, rollouts: Batch, rewards: Rewards, /) -> Stats: ...
 
 
-class CloningLearner(Protocol[Read_contra]):
-    """pi_theta again, learning from demonstrations alone."""
+class CloningLearner(Protocol):
+    """pi_theta trained on demonstrations alone."""
 
-    def update(self, expert: Read_contra, /) -> Stats: ...
-
-
-class QLearner(Protocol[Read_contra]):
-    """pi_theta again, learning from demonstrations and rollouts without a reward in between."""
-
-    def update(self, expert: Read_contra, rollouts: Read_contra, /) -> Stats: ...
+    def update(self, expert: Batch, /) -> Stats: ...
 
 
-class Cloning(
-    Learning[Played_contra, Read, Net, Rewards, RewardFn], Protocol[Played_contra, Read, Net, Rewards, RewardFn]
-):
-    """A learner that can also do without a reward."""
+class QLearner(Protocol):
+    """pi_theta trained on demonstrations and rollouts, without a reward."""
+
+    def update(self, expert: Batch, rollouts: Batch, /) -> Stats: ...
+
+
+class Learning(Protocol):
+    """The learner of Algorithm 1. The cloner is for the baseline of figure 4.8."""
 
     @property
-    def cloner(self) -> CloningLearner[Read]: ...
-
-
-class Comparable(
-    Cloning[Played_contra, Read, Net, Rewards, RewardFn], Protocol[Played_contra, Read, Net, Rewards, RewardFn]
-):
-    """One that can do all that its own is compared with."""
+    def demos(self) -> Demos: ...
 
     @property
-    def policy(self) -> PolicyLearner[Read, Net, Rewards, RewardFn | None]: ...
+    def discriminator(self) -> RewardLearner: ...
 
     @property
-    def soft_q(self) -> QLearner[Read]: ...
+    def policy(self) -> PolicyLearner: ...
 
-    def carried_rewards(self, rollouts: Read, /) -> Rewards: ...
+    @property
+    def cloner(self) -> CloningLearner: ...
+
+    def featurise(self, episodes: Episodes, /) -> Batch: ...
+
+
+class BaselineLearning(Learning, Protocol):
+    """The learner of the other baselines, which need two more parts."""
+
+    @property
+    def soft_q(self) -> QLearner: ...
+
+    def carried_rewards(self, rollouts: Batch, /) -> Rewards: ...

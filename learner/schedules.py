@@ -1,4 +1,4 @@
-"""What falls while a run goes on: with time, or as the policy comes to do what the expert does."""
+"""Schedules of learning rates and the entropy weight: linear over the run, or by the discriminator's accuracy."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import torch
 from giirl_core.config import DiscriminatorConfig
 
 
-class Rates(Protocol):
-    """The settings that say how."""
+class LearningRates(Protocol):
+    """The settings of a learning rate: the first one, and the last one as a fraction of it."""
 
     @property
     def learning_rate(self) -> float: ...
@@ -20,17 +20,17 @@ class Rates(Protocol):
 
 
 class Annealed(Protocol):
-    """Whatever learns at a rate of its own."""
+    """A part of the learner that has its own optimiser."""
 
     @property
-    def config(self) -> Rates: ...
+    def config(self) -> LearningRates: ...
 
     @property
     def optimiser(self) -> torch.optim.Optimizer: ...
 
 
-class AnnealedReward(Protocol):
-    """A discriminator."""
+class AnnealedDiscriminator(Protocol):
+    """A discriminator with its own optimiser."""
 
     @property
     def config(self) -> DiscriminatorConfig: ...
@@ -39,24 +39,25 @@ class AnnealedReward(Protocol):
     def optimiser(self) -> torch.optim.Optimizer: ...
 
     @property
-    def accuracy(self) -> float: ...  # 1/2 where it cannot tell expert and newest rollouts apart any more
+    def accuracy(self) -> float: ...  # 1/2 when it can no longer tell the expert from the newest rollouts
 
 
-def anneal(part: Annealed, done: float) -> None:
-    """Set the rate for when `done` in [0, 1] is over: a straight line from the first rate to the final one."""
+def anneal(part: Annealed, progress: float) -> None:
+    """Set the learning rate of `part` for `progress` in [0, 1] of the run, on a line from its first to its last one."""
     for group in part.optimiser.param_groups:
-        group["lr"] = linear_decay(part.config.learning_rate, part.config.final_lr_fraction, done)
+        group["lr"] = linear_decay(part.config.learning_rate, part.config.final_lr_fraction, progress)
 
 
-def linear_decay(first: float, share: float, done: float) -> float:
-    """On a straight line from `first` to that share of it, when `done` in [0, 1] is over."""
-    return first * (1 - done * (1 - share))
+def linear_decay(initial: float, final_fraction: float, progress: float) -> float:
+    """The value at `progress` in [0, 1] on the line from `initial` to `final_fraction * initial`."""
+    return initial * (1 - progress * (1 - final_fraction))
 
 
-def anneal_reward(discriminator: AnnealedReward, done: float) -> None:
-    """The same for a discriminator. `lr_schedule="accuracy"` lowers it as the policy improves (thesis, section 5.1).
+def anneal_discriminator(discriminator: AnnealedDiscriminator, progress: float) -> None:
+    """Set the learning rate of the discriminator by its `lr_schedule`: "linear" as `anneal`, or "accuracy".
 
-    Then its rate is the final one where it cannot tell the newest rollouts from the expert any more.
+    "accuracy" lowers the rate as the policy improves (Luo 2019, section 5.1): from the first rate at accuracy 1 to the
+    last one at accuracy 1/2, where the newest rollouts look like the expert.
     """
-    caught_up = min(max(2.0 - 2.0 * discriminator.accuracy, 0.0), 1.0)
-    anneal(discriminator, caught_up if discriminator.config.lr_schedule == "accuracy" else done)
+    confusion = min(max(2.0 - 2.0 * discriminator.accuracy, 0.0), 1.0)
+    anneal(discriminator, confusion if discriminator.config.lr_schedule == "accuracy" else progress)

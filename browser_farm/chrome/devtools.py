@@ -1,4 +1,7 @@
-"""One websocket to Chrome's debugger: many tabs, many calls at once, and no wait without a deadline."""
+"""A client for the Chrome DevTools Protocol: one websocket, many tabs, concurrent calls, a deadline on every wait.
+
+https://chromedevtools.github.io/devtools-protocol/
+"""
 
 from __future__ import annotations
 
@@ -13,42 +16,46 @@ from urllib.parse import urlsplit
 
 import websocket
 
-SEND_S = 5.0  # for Chrome to read what is written to it
-BROWSER = ""  # the session that speaks to the browser itself instead of to a tab
+SEND_TIMEOUT_S = 5.0
+BROWSER = ""  # session id for calls to the browser itself instead of to a tab
 
 Json = dict[str, Any]
 EventHandler = Callable[[str, str, Json], None]  # session, method, params
 
 
 class BrowserGone(Exception):
-    """The websocket is closed: Chrome has ended, or nobody can speak to it any more."""
+    """Chrome has ended, its websocket is closed, or it no longer answers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reply:
-    """What came of one call: a result, or Chrome's own words on why there is none."""
+    """The outcome of one call: a result, or Chrome's error message."""
 
     result: Json
     error: str = ""
 
 
 class DevTools:
-    """Sends calls and receives their replies; events that arrive meanwhile go to `on_event`."""
+    """Sends calls and receives their replies; events that arrive in between are passed to `on_event`.
+
+    Raises BrowserGone from every method once the connection is lost.
+    """
 
     def __init__(self, url: str, *, timeout_s: float, on_event: EventHandler) -> None:
         self._on_event = on_event
         self._next_id = 0
         self._replies: dict[int, Reply] = {}
-        self._awaited: set[int] = set()
+        self._pending: dict[int, str] = {}  # call id -> session
+        self._abandoned: set[str] = set()  # sessions
         address = urlsplit(url)
         try:
-            # A socket of our own: the library would go to this machine through a proxy of the environment.
+            # Our own socket: websocket-client would use the proxy from the environment even for this machine.
             connection = socket.create_connection((address.hostname, address.port), timeout=timeout_s)
             self._socket = websocket.create_connection(
                 url,
                 timeout=timeout_s,
-                suppress_origin=True,  # Chrome refuses origins it was not told of
-                skip_utf8_validation=True,  # json decodes it anyway; checking twice costs more than the rest
+                suppress_origin=True,  # Chrome rejects origins that were not allowed on its command line
+                skip_utf8_validation=True,  # json validates it anyway, and this check is the slowest part of recv
                 enable_multithread=False,
                 socket=connection,
             )
@@ -56,48 +63,59 @@ class DevTools:
             raise BrowserGone(f"no connection to Chrome at {url}: {error}") from error
 
     def send(self, session: str, method: str, params: Mapping[str, Any] | None = None) -> int:
-        """Start a call and return its id; `receive` waits for what comes of it."""
+        """Start a call and return its id, for `receive`."""
         call = self._write(session, method, params)
-        self._awaited.add(call)
+        self._pending[call] = session
         return call
 
     def post(self, session: str, method: str, params: Mapping[str, Any] | None = None) -> None:
-        """Start a call whose reply nobody wants, safe to use inside an event handler."""
+        """Start a call and ignore its reply. Safe to use inside an event handler."""
         self._write(session, method, params)
 
-    def receive(
-        self, calls: Iterable[int], *, deadline: float, given_up: Callable[[], set[int]], again: bool = False
-    ) -> dict[int, Reply]:
-        """Replies to `calls` that came before `deadline` (time.monotonic); a call that did not is missing.
+    def receive(self, calls: Iterable[int], *, timeout_s: float, periods: int = 1) -> dict[int, Reply]:
+        """Replies to `calls` that arrive within `periods` times `timeout_s`; calls without a reply are missing.
 
-        `given_up` names calls that no longer can be answered, because their tab has crashed. A late reply is thrown
-        away, unless its call is to be received `again`.
+        Calls to abandoned sessions are not waited for. Between two periods Chrome itself has to answer a call, else
+        BrowserGone. A reply that arrives later is discarded.
         """
-        waiting = set(calls)
+        sent = set(calls)
         replies: dict[int, Reply] = {}
-        while True:
-            for call in waiting & self._replies.keys():
-                replies[call] = self._replies.pop(call)
-                waiting.discard(call)
-            waiting -= given_up()
-            if not waiting or not self.pump(deadline):
+        waiting = sent
+        for period in range(periods):
+            if period:
+                self.check_alive(timeout_s=timeout_s / 2)
+            deadline = time.monotonic() + timeout_s
+            while (waiting := self._collect(waiting, replies)) and self.pump(deadline):
+                pass
+            if not waiting:
                 break
-        if not again:
-            self._awaited -= waiting
+        for call in sent - replies.keys():
+            self._pending.pop(call, None)
         return replies
 
     def call(self, session: str, method: str, params: Mapping[str, Any] | None = None, *, timeout_s: float) -> Json:
-        """One call and its result; TimeoutError when it is not answered, RuntimeError when Chrome refuses."""
+        """Make one call and return its result; TimeoutError without a reply in time, RuntimeError if Chrome refuses."""
         call = self.send(session, method, params)
-        reply = self.receive([call], deadline=time.monotonic() + timeout_s, given_up=set).get(call)
+        reply = self.receive([call], timeout_s=timeout_s).get(call)
         if reply is None:
             raise TimeoutError(f"Chrome did not answer {method} in {timeout_s:g} s")
         if reply.error:
             raise RuntimeError(f"Chrome refused {method}: {reply.error}")
         return reply.result
 
+    def check_alive(self, *, timeout_s: float) -> None:
+        """Raise BrowserGone unless Chrome itself answers a call."""
+        try:
+            self.call(BROWSER, "Browser.getVersion", timeout_s=timeout_s)
+        except TimeoutError as error:
+            raise BrowserGone(str(error)) from error
+
+    def abandon(self, sessions: Iterable[str]) -> None:
+        """Stop waiting for replies from these sessions, now and later: their target has crashed or was closed."""
+        self._abandoned.update(sessions)
+
     def pump(self, deadline: float) -> bool:
-        """Take one message off the socket; False when none came before `deadline`."""
+        """Process one incoming message; False when none arrives before `deadline` (time.monotonic)."""
         left_s = deadline - time.monotonic()
         if left_s <= 0:
             return False
@@ -114,14 +132,20 @@ class DevTools:
         call = message.get("id")
         if call is None:
             self._on_event(message.get("sessionId", BROWSER), message["method"], message.get("params", {}))
-        elif call in self._awaited:
-            self._awaited.discard(call)
-            error_words = message.get("error", {}).get("message", "")
-            self._replies[call] = Reply(result=message.get("result", {}), error=error_words)
+        elif self._pending.pop(call, None) is not None:
+            error_message = message.get("error", {}).get("message", "")
+            self._replies[call] = Reply(result=message.get("result", {}), error=error_message)
         return True
 
     def close(self) -> None:
         self._socket.shutdown()  # type: ignore[no-untyped-call]
+
+    def _collect(self, calls: set[int], replies: dict[int, Reply]) -> set[int]:
+        """Move the replies that have arrived into `replies` and return the calls that can still be answered."""
+        arrived = calls & self._replies.keys()
+        for call in arrived:
+            replies[call] = self._replies.pop(call)
+        return {call for call in calls - arrived if self._pending[call] not in self._abandoned}
 
     def _write(self, session: str, method: str, params: Mapping[str, Any] | None) -> int:
         self._next_id += 1
@@ -129,7 +153,7 @@ class DevTools:
         if session:
             message["sessionId"] = session
         try:
-            self._socket.settimeout(SEND_S)  # not what is left of some earlier wait
+            self._socket.settimeout(SEND_TIMEOUT_S)  # replaces the timeout that an earlier recv has set
             self._socket.send(json.dumps(message))
         except (OSError, websocket.WebSocketException) as error:
             raise BrowserGone(f"Chrome closed its debugger connection: {error}") from error
@@ -137,7 +161,7 @@ class DevTools:
 
 
 def browser_url(debugger_address: str, *, timeout_s: float) -> str:
-    """The websocket of the browser itself, asked of Chrome's debugger at host:port."""
+    """The websocket URL of the browser itself, from the debugger's HTTP endpoint at host:port."""
     opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
     try:
         with opener.open(f"http://{debugger_address}/json/version", timeout=timeout_s) as response:

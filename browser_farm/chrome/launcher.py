@@ -1,4 +1,4 @@
-"""Launches one Chrome through selenium, in a directory and a session of its own, and ends it whole."""
+"""Launches one Chrome through selenium, with its own directory and session, and ends all of its processes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ INSTALL = "apt-get install chromium chromium-driver"
 CHROMES = ("chromium", "chromium-browser", "google-chrome-stable", "google-chrome", "chrome")
 DRIVERS = ("chromedriver", "chromium.chromedriver")
 SMALL_SHM_BYTES = 1 << 29
-LONGEST_DIRECTORY = 30  # characters; Chrome adds about 75, and a socket address holds 107
+MAX_DIRECTORY_LENGTH = 30  # characters; Chrome adds about 75, and the path of a Unix socket holds 107
 FLAGS = (
     "--allow-file-access-from-files",  # pages read their own style sheets
     "--disable-background-networking",
@@ -34,7 +34,7 @@ FLAGS = (
     "--disable-component-update",
     "--disable-default-apps",
     "--disable-extensions",
-    # What Chrome would start for a person, each in a process of its own, or fetch for one.
+    # Features for people that each start a process, or download something.
     "--disable-features=Translate,OptimizationHints,MediaRouter,DialMediaRouteProvider,"
     "SpareRendererForSitePerProcess,WebUIOmniboxPopup,WebUIOmniboxAimPopup",
     "--disable-gpu",
@@ -50,7 +50,7 @@ FLAGS = (
     "--force-color-profile=srgb",
     "--force-device-scale-factor=1",
     "--host-resolver-rules=MAP * ~NOTFOUND",  # a page has no network
-    "--js-flags=--max-semi-space-size=2",  # MB; many pages share a heap, which else grows with what is young in it
+    "--js-flags=--max-semi-space-size=2",  # MB; many pages share a heap, whose young generation would grow otherwise
     "--lang=en-US",
     "--metrics-recording-only",
     "--mute-audio",
@@ -63,20 +63,23 @@ FLAGS = (
 
 
 class ChromeMissing(RuntimeError):
-    """There is no Chrome, or no chromedriver, to start."""
+    """Chrome or chromedriver is not installed."""
 
 
 class LaunchFailed(RuntimeError):
-    """Chrome is installed but did not come up."""
+    """Chrome is installed but did not start."""
 
 
 def find(variable: str, names: tuple[str, ...], what: str) -> Path:
-    """The program that `variable` names, else the first of `names` on PATH."""
-    told = os.environ.get(variable)
-    if told:
-        if os.access(told, os.X_OK) and Path(told).is_file():
-            return Path(told)
-        raise ChromeMissing(f"{variable}={told} is no program: wanted the path of {what} ({INSTALL})")
+    """The program whose path is in the environment variable, else the first of `names` on PATH.
+
+    ChromeMissing when there is none; `what` names the program in the message.
+    """
+    given = os.environ.get(variable)
+    if given:
+        if os.access(given, os.X_OK) and Path(given).is_file():
+            return Path(given)
+        raise ChromeMissing(f"{variable}={given} is not a program: wanted the path of {what} ({INSTALL})")
     for name in names:
         path = shutil.which(name)
         if path:
@@ -84,32 +87,35 @@ def find(variable: str, names: tuple[str, ...], what: str) -> Path:
     raise ChromeMissing(f"no {what} on PATH (looked for {', '.join(names)}): {INSTALL}, or set {variable}")
 
 
-def _first_words(error: Exception) -> str:
-    """What selenium has to say, without its trace and its advertisement."""
+def _first_line(error: Exception) -> str:
+    """The message of a selenium error, without stack trace and link to the documentation."""
     first = str(error).partition("\n")[0].removeprefix("Message: ").partition("; For documentation")[0]
     return first or type(error).__name__
 
 
 def _short_directory() -> str:
-    """Where temporary files go, unless Chrome's socket there would have a longer name than a socket may."""
-    usual = tempfile.gettempdir()
-    return usual if len(usual) <= LONGEST_DIRECTORY else "/tmp"
+    """The directory for temporary files, or /tmp if the path of Chrome's socket in it would be too long."""
+    default = tempfile.gettempdir()
+    return default if len(default) <= MAX_DIRECTORY_LENGTH else "/tmp"
 
 
 class Chrome:
-    """One running Chrome; `end` leaves no process and no file behind.
+    """One running Chrome; `end` kills its processes and removes its files.
 
-    `debugger_address` is host:port, `first_target` the tab it began with, `hub_url` an empty page that is as near
-    to the task pages as they are to each other.
+    `debugger_address` is host:port and `first_target` the tab that Chrome opens at its start. `hub_url` is an empty
+    file:// page, which may script the task pages.
+
+    Raises ChromeMissing or LaunchFailed.
     """
 
     def __init__(self, *, headless: bool, no_sandbox: bool | None, timeout_s: float) -> None:
         binary = find("GIIRL_CHROME", CHROMES, "Chrome")
         driver = find("GIIRL_CHROMEDRIVER", DRIVERS, "chromedriver")
+        parent = _short_directory()
         try:
-            self.directory = Path(tempfile.mkdtemp(prefix="giirl-chrome-", dir=_short_directory()))
+            self.directory = Path(tempfile.mkdtemp(prefix="giirl-chrome-", dir=parent))
         except OSError as error:
-            raise LaunchFailed(f"no folder for Chrome in {_short_directory()}: {error.strerror}") from error
+            raise LaunchFailed(f"cannot create a folder for Chrome in {parent}: {error.strerror}") from error
         self._service: Service | None = None
         self._connection: RemoteConnection | None = None
         self._reaper = reaper.Reaper(self.directory)
@@ -135,14 +141,19 @@ class Chrome:
         options.binary_location = str(binary)
         for flag in self._flags(headless, no_sandbox):
             options.add_argument(flag)
+        environment = {
+            reaper.DIRECTORY_VARIABLE: str(self.directory),
+            "TZ": "UTC",
+            "TMPDIR": str(self.directory / "tmp"),
+        }
         self._service = Service(
             executable_path=str(driver),
             log_output=subprocess.DEVNULL,
-            # Own session: Ctrl-C in the owner's terminal is the owner's to handle.
+            # A session of its own, so that Ctrl-C in the terminal reaches the owner only.
             popen_kw={"start_new_session": True},
-            env={**os.environ, reaper.MARK: str(self.directory), "TZ": "UTC", "TMPDIR": str(self.directory / "tmp")},
+            env={**os.environ, **environment},
         )
-        # Selenium offers no deadline that covers all of a launch; with the processes gone its call ends.
+        # Selenium has no timeout for the whole launch. Killing the processes makes its call return.
         watchdog = threading.Timer(timeout_s, reaper.reap, [self.directory])
         watchdog.daemon = True
         watchdog.start()
@@ -156,7 +167,7 @@ class Chrome:
             self._connection = RemoteConnection(client_config=config)
             return webdriver.Remote(command_executor=self._connection, options=options)
         except (WebDriverException, HTTPError, OSError) as error:
-            raise LaunchFailed(f"{binary} did not start within {timeout_s:g} s: {_first_words(error)}") from error
+            raise LaunchFailed(f"{binary} did not start within {timeout_s:g} s: {_first_line(error)}") from error
         finally:
             watchdog.cancel()
 
@@ -165,18 +176,18 @@ class Chrome:
         if headless:
             flags.append("--headless=new")
         if os.geteuid() == 0 if no_sandbox is None else no_sandbox:
-            flags.append("--no-sandbox")  # Chrome refuses to run as root with a sandbox
+            flags.append("--no-sandbox")  # Chrome refuses to run as root with its sandbox
         if not Path("/dev/shm").is_dir() or shutil.disk_usage("/dev/shm").free < SMALL_SHM_BYTES:
             flags.append("--disable-dev-shm-usage")
         return flags
 
     def end(self) -> None:
-        """Kill the process tree and remove the directory; a profile holds nothing worth a slow goodbye."""
+        """Kill the process tree and remove the directory. Nothing in the profile is worth a clean shutdown."""
         reaper.reap(self.directory)
         if self._connection is not None:
             self._connection.close()  # type: ignore[no-untyped-call]
         process = getattr(self._service, "process", None)  # missing when chromedriver could not be started
         if process is not None:
-            process.wait(timeout=reaper.GIVE_UP_S)
+            process.wait(timeout=reaper.TIMEOUT_S)
             process.stdin.close()
         self._reaper.end()

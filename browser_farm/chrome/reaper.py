@@ -1,8 +1,8 @@
-"""Ends every Chrome process of a farm once its owner is gone, however the owner ended, SIGKILL included.
+"""Kills every Chrome process of a farm once its owner has ended, even by SIGKILL.
 
-It runs as a process of its own, started before Chrome: `python reaper.py FARM_DIRECTORY OWNER`, with a pipe from
-the owner as standard input. Nothing is ever written to that pipe, so the end of it is the end of the owner.
-It is nobody's child: a Ray worker whose node is gone kills its children, and then ends itself.
+It runs as a process of its own, started before Chrome: `python reaper.py FARM_DIRECTORY OWNER_PID`. Its standard input
+is a pipe from the owner. Nothing is written to it, so end-of-file means that the owner has ended. The process detaches
+from its parent, since a Ray worker whose node dies kills its children before it exits itself.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ import sys
 import time
 from pathlib import Path
 
-MARK = "GIIRL_FARM_DIRECTORY"  # set in the environment of chromedriver, and so of all it starts
-GIVE_UP_S = 10.0
+DIRECTORY_VARIABLE = "GIIRL_FARM_DIRECTORY"  # in the environment of chromedriver, which its children inherit
+TIMEOUT_S = 10.0
 
 
 class Reaper:
-    """The owner's end of a reaper."""
+    """Starts the reaper process from the owner's side."""
 
     def __init__(self, directory: Path) -> None:
         self._parent = subprocess.Popen(
@@ -33,24 +33,24 @@ class Reaper:
             cwd="/",
         )
         assert self._parent.stdout is not None
-        self._life = self._parent.stdout  # ends with the reaper
-        self._pid = int(self._life.readline())
+        self._output = self._parent.stdout  # at end-of-file once the reaper has exited
+        self._pid = int(self._output.readline())
         self._parent.wait()
 
     def end(self) -> None:
-        """Set it to work, and wait until it is done."""
+        """Let the reaper kill the processes, and wait until it has exited."""
         assert self._parent.stdin is not None
         self._parent.stdin.close()
-        end = select.poll()
-        end.register(self._life)
-        if not end.poll(2000 * GIVE_UP_S):
+        poller = select.poll()
+        poller.register(self._output)
+        if not poller.poll(2000 * TIMEOUT_S):  # milliseconds: twice its own timeout
             os.kill(self._pid, signal.SIGKILL)
-        self._life.close()
+        self._output.close()
 
 
 def processes(directory: Path) -> set[int]:
-    """The pids that belong to `directory`: by environment, by command line, by session, or by descent."""
-    mark = f"{MARK}={directory}".encode()
+    """The pids that belong to `directory` by environment, command line, session or parent process."""
+    variable = f"{DIRECTORY_VARIABLE}={directory}".encode()
     profile = f"--user-data-dir={directory}/".encode()
     parents: dict[int, int] = {}
     sessions: dict[int, int] = {}
@@ -64,12 +64,12 @@ def processes(directory: Path) -> set[int]:
             command = (path / "cmdline").read_bytes()
             environment = (path / "environ").read_bytes()
         except OSError:
-            continue  # it ended while being looked at, or belongs to somebody else
+            continue  # it ended in the meantime, or belongs to another user
         state, parent, _, session = stat.rpartition(")")[2].split()[:4]
         if state == "Z":
-            continue  # ended already; only its own parent can take it off the list
+            continue  # a zombie: only its parent can remove it
         parents[int(entry)], sessions[int(entry)] = int(parent), int(session)
-        if mark in environment.split(b"\0") or profile in command:
+        if variable in environment.split(b"\0") or profile in command:
             found.add(int(entry))
     own_sessions = {sessions[pid] for pid in found} - {os.getsid(0), 0}
     while True:
@@ -83,18 +83,18 @@ def processes(directory: Path) -> set[int]:
         found |= more
 
 
-def reap(directory: Path, *, timeout_s: float = GIVE_UP_S) -> None:
-    """Kill all that belongs to `directory` until two looks in a row find nothing, then remove it."""
+def reap(directory: Path, *, timeout_s: float = TIMEOUT_S) -> None:
+    """Kill all processes of `directory` until two scans in a row find none, then remove it."""
     deadline = time.monotonic() + timeout_s
-    quiet_looks = 0
-    while quiet_looks < 2 and time.monotonic() < deadline:
+    empty_scans = 0
+    while empty_scans < 2 and time.monotonic() < deadline:
         pids = processes(directory)
-        quiet_looks = 0 if pids else quiet_looks + 1
+        empty_scans = 0 if pids else empty_scans + 1
         for pid in pids:
             try:
                 os.kill(pid, signal.SIGKILL)
             except ProcessLookupError:
-                continue  # it was faster
+                continue  # already gone
         time.sleep(0.02)
     shutil.rmtree(directory, ignore_errors=True)
 
@@ -104,15 +104,15 @@ def main(directory: Path, owner: int) -> None:
         signal.signal(name, signal.SIG_IGN)
     pid = os.fork()
     if pid:
-        print(pid, flush=True)  # noqa: T201, the owner reads it
+        print(pid, flush=True)  # noqa: T201, the owner reads the pid
         return
     try:
-        gone = os.pidfd_open(owner)  # a fork of the owner may hold the pipe open, so look for the owner as well
+        owner_exit = os.pidfd_open(owner)  # a fork of the owner may keep the pipe open: watch the owner as well
     except ProcessLookupError:
-        gone = 0
+        owner_exit = 0
     while True:
-        readable, _, _ = select.select([0, gone], [], [])
-        if gone in readable or not os.read(0, 1):
+        readable, _, _ = select.select([0, owner_exit], [], [])
+        if owner_exit in readable or not os.read(0, 1):
             break
     reap(directory)
 

@@ -1,4 +1,4 @@
-"""The miniwob package's words for what our farm does: its actions become commands, our pages its observations."""
+"""Translates between the miniwob package and our farm: its actions to commands, our pages to its observations."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ from giirl_core import keys
 from giirl_core.types import Command, Verb
 
 Fields = Sequence[tuple[str, str]]
-Observed = dict[str, Any]  # "utterance", "fields", "dom_elements", "screenshot"
-Wanted = Mapping[str, Any]  # "action_type" and what it needs of "coords", "ref", "key", "text", "field"
-POINTING = {
+ObservationDict = dict[str, Any]  # "utterance", "fields", "dom_elements", "screenshot"
+ActionDict = Mapping[str, Any]  # "action_type" and, depending on it, "coords", "ref", "key", "text", "field"
+POINTER_VERBS = {
     ActionTypes.MOVE_COORDS: Verb.HOVER,
     ActionTypes.CLICK_COORDS: Verb.CLICK,
     ActionTypes.DBLCLICK_COORDS: Verb.DOUBLE_CLICK,
@@ -47,8 +47,8 @@ POINTING = {
     ActionTypes.MOUSEUP_COORDS: Verb.MOUSE_UP,
 }
 MODIFIERS = {"A-": "Alt", "C-": "Control", "M-": "Meta", "S-": "Shift"}
-# Keys that the package names and pages know by what they write.
-WRITING = {
+# Keys of the package that KeyboardEvent.key names by the character they type.
+KEY_CHARACTERS = {
     "Space": " ",
     "Semicolon": ";",
     "Equal": "=",
@@ -64,7 +64,7 @@ WRITING = {
 
 @dataclass(frozen=True, kw_only=True)
 class MiniWoBAdapter:
-    """How the miniwob package would speak of one task."""
+    """The miniwob package's spaces, actions, observations and rewards for one task."""
 
     task: str
     action_space_config: ActionSpaceConfig
@@ -79,26 +79,26 @@ class MiniWoBAdapter:
         field_extractor: Callable[[str], Fields] | None = None,
         reward_processor: Callable[[Mapping[str, Any]], float] | None = None,
     ) -> MiniWoBAdapter:
-        """With the package's own defaults; ValueError for an unknown preset or a key that no page would hear."""
+        """An adapter with the package's defaults; ValueError for an unknown task, preset or key."""
         config = action_space_config
         if isinstance(config, str):
             config = ActionSpaceConfig.get_preset(config)
-        page_url(task)  # a task that does not exist is an error before any browser starts
-        made = cls(
+        page_url(task)  # raises for an unknown task, before a browser starts
+        adapter = cls(
             task=task,
             action_space_config=config,
-            field_extractor=field_extractor or FIELD_EXTRACTORS.get(task, _nothing),
+            field_extractor=field_extractor or FIELD_EXTRACTORS.get(task, _no_fields),
             reward_processor=reward_processor or get_original_reward,
         )
-        config.screen_width, config.screen_height = made.size
+        config.screen_width, config.screen_height = adapter.size
         if ActionTypes.PRESS_KEY in config.action_types:
             for name in config.allowed_keys:
-                chord_of(name)
-        return made
+                chord_of(name)  # raises for an unknown key
+        return adapter
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the part of the page that belongs to the task, CSS px."""
+        """Width and height of the task's area of the page, CSS px."""
         flight = self.task.startswith("flight.")
         return (FLIGHT_TASK_WIDTH, FLIGHT_TASK_HEIGHT) if flight else (TASK_WIDTH, TASK_HEIGHT)
 
@@ -111,18 +111,18 @@ class MiniWoBAdapter:
         return get_observation_space(*self.size)
 
     def fields(self, page: Elements) -> Fields:
-        """What the instruction names, by the page's own account or by the package's pattern for the task."""
+        """The (key, value) fields of the instruction: the page's own, else from the package's pattern for the task."""
         return list(page.fields) if page.fields is not None else self.field_extractor(page.utterance)
 
-    def command(self, action: Wanted | None, page: Elements, fields: Fields) -> Command:
-        """What an action means on a page; ValueError for an action that is none."""
+    def command(self, action: ActionDict | None, page: Elements, fields: Fields) -> Command:
+        """The command of an action on a page; ValueError for a malformed action."""
         if action is None:
             return Command(verb=Verb.WAIT)
         config = self.action_space_config
         try:
             kind = config.action_types[int(action["action_type"])]
             if kind in COORDS_ACTIONS:
-                return _pointed(kind, config.compute_raw_coords(action), config.scroll_amount)
+                return _pointer_command(kind, config.compute_raw_coords(action), config.scroll_amount)
             if kind is ActionTypes.PRESS_KEY:
                 return Command(verb=Verb.PRESS, text=chord_of(config.allowed_keys[int(action["key"])]))
             text = ""
@@ -137,72 +137,72 @@ class MiniWoBAdapter:
             ref = int(action["ref"])
         except (KeyError, IndexError, TypeError, ValueError) as error:
             raise ValueError(
-                f"{action!r} is no action of {self.task} ({error!r}), wanted one of the action space"
+                f"{action!r} is not an action of {self.task} ({error!r}): wanted one from the action space"
             ) from error
         if ref > 0 and np.any(page.ref == ref):
             return Command(verb=Verb.ACTIVATE, ref=ref, text=text)
-        return Command(verb=Verb.APPEND, text=text)  # there is no such element: nothing gets the focus
+        return Command(verb=Verb.APPEND, text=text)  # no such element: the keys go to the element with the focus
 
     def create_action(self, space: Any, action_type: Any, values: Mapping[str, Any]) -> dict[str, Any]:
-        """An action of this type (a name, or an index), drawn at random but for the values given."""
+        """An action of this type (a name or an index); fields without a given value are sampled from `space`."""
         action: dict[str, Any] = space.sample()
-        named = isinstance(action_type, (str, ActionTypes))
+        by_name = isinstance(action_type, (str, ActionTypes))
         kinds = self.action_space_config.action_types
-        action["action_type"] = kinds.index(ActionTypes(action_type)) if named else int(action_type)
+        action["action_type"] = kinds.index(ActionTypes(action_type)) if by_name else int(action_type)
         for key, value in values.items():
             if key not in action:
                 raise KeyError(f"an action has no {key!r}, wanted one of: {', '.join(action)}")
             action[key] = value
         return action
 
-    def observe(self, page: Elements, fields: Fields, screenshot: NDArray[np.uint8] | None) -> Observed:
-        """The package's observation of a page."""
-        observed = self.blank()
-        observed["utterance"] = page.utterance[:UTTERANCE_MAX_LENGTH]
-        observed["dom_elements"] = tuple(serialized(page))
-        observed["fields"] = tuple(fields)
+    def observe(self, page: Elements, fields: Fields, screenshot: NDArray[np.uint8] | None) -> ObservationDict:
+        """The package's observation of a page; black without a screenshot."""
+        observation = self.empty_observation()
+        observation["utterance"] = page.utterance[:UTTERANCE_MAX_LENGTH]
+        observation["dom_elements"] = tuple(dom_elements(page))
+        observation["fields"] = tuple(fields)
         if screenshot is not None:
-            observed["screenshot"] = screenshot
-        return observed
+            observation["screenshot"] = screenshot
+        return observation
 
-    def blank(self) -> Observed:
-        """The package's observation of an episode that is over."""
-        observed: Observed = create_empty_observation(*self.size)
-        return observed
+    def empty_observation(self) -> ObservationDict:
+        """The package's observation after the end of an episode."""
+        observation: ObservationDict = create_empty_observation(*self.size)
+        return observation
 
 
-def _nothing(utterance: str) -> Fields:
-    """The fields of a task for which the package has no pattern."""
+def _no_fields(utterance: str) -> Fields:
+    """The field extractor of a task for which the package has no pattern."""
     del utterance
     return []
 
 
-def _pointed(kind: ActionTypes, at: tuple[float, float], amount: int) -> Command:
+def _pointer_command(kind: ActionTypes, at: tuple[float, float], amount: int) -> Command:
     if kind in SCROLL_ACTIONS:
         down = amount if kind is ActionTypes.SCROLL_DOWN_COORDS else -amount
         return Command(verb=Verb.SCROLL, at=at, by=(0.0, float(down)))
-    return Command(verb=POINTING[kind], at=at)
+    return Command(verb=POINTER_VERBS[kind], at=at)
 
 
 @functools.cache
 def chord_of(name: str) -> str:
-    """A key of the package ("<Enter>", "C-a", "A") as pages name it."""
-    held, key = [], name
+    """A key of the package ("<Enter>", "C-a", "A") in the notation of `giirl_core.keys`; ValueError if unknown."""
+    modifiers, key = [], name
     while key[:2] in MODIFIERS and len(key) > 2:
-        held.append(MODIFIERS[key[:2]])
+        modifiers.append(MODIFIERS[key[:2]])
         key = key[2:]
     if key.startswith("<") and key.endswith(">"):
-        key = WRITING.get(key[1:-1], key[1:-1]).removeprefix("Numpad").removeprefix("Right")
-    wanted = "+".join([*held, key])
+        key = KEY_CHARACTERS.get(key[1:-1], key[1:-1]).removeprefix("Numpad").removeprefix("Right")
+    wanted = "+".join([*modifiers, key])
     try:
         keys.parse_chord(wanted)
     except ValueError as error:
-        raise ValueError(f"the key {name!r} has no meaning for a page: {error}") from error
+        raise ValueError(f"the key {name!r} is not supported: {error}") from error
     return wanted
 
 
-def serialized(page: Elements) -> list[dict[str, Any]]:
-    """One dictionary for each element, as the package lays them out."""
+def dom_elements(page: Elements) -> list[dict[str, Any]]:
+    """One dictionary per element, with the package's keys, types and length limits."""
     box, flags, refs = page.box.copy(), page.flags.copy(), page.ref.tolist()
     colours = np.array([(*rgba(b), *rgba(f)) for b, f in zip(page.background, page.foreground, strict=True)])
     colours = colours.astype(np.float32).reshape(-1, 8)
@@ -227,8 +227,8 @@ def serialized(page: Elements) -> list[dict[str, Any]]:
     ]
 
 
-def _readable(colour: str) -> str | None:
-    """A colour that DOMElement can read; it breaks on others."""
+def _rgb_or_none(colour: str) -> str | None:
+    """The colour if DOMElement can parse it; it raises on other notations."""
     return colour if colour.startswith("rgb") else None
 
 
@@ -244,11 +244,11 @@ def root_dom(page: Elements) -> Any:
             "top": top,
             "width": width,
             "height": height,
-            "value": page.held[row],
+            "value": page.raw_value[row],
             "id": page.id[row],
             "classes": page.classes[row],
-            "bgColor": _readable(page.background[row]),
-            "fgColor": _readable(page.foreground[row]),
+            "bgColor": _rgb_or_none(page.background[row]),
+            "fgColor": _rgb_or_none(page.foreground[row]),
             "focused": bool(page.flags[row, 0]),
             "tampered": bool(page.flags[row, 1]),
             "children": [],

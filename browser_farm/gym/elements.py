@@ -1,4 +1,4 @@
-"""Pages as the miniwob package describes them: the same elements, in the same order, with every one of its fields."""
+"""The view of the miniwob package: the same DOM elements, in the same order, with all of its fields."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from browser_farm.pages import View
 from giirl_core.types import Observation, Page
 
-WINDOW = (780, 437)  # CSS px that a page of the miniwob package has in the Chrome it starts
+WINDOW = (780, 437)  # CSS px: size of the viewport in the miniwob package's own Chrome
 FLAGS = np.array([1, 2, 4, 8], dtype=np.int32)  # bits of elements.js: focused, tampered, targeted, leaf
 WHITE = (1.0, 1.0, 1.0, 1.0)
 CHANNEL = re.compile(r"[\d.]+")
@@ -21,20 +21,20 @@ CHANNEL = re.compile(r"[\d.]+")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Elements(Page):
-    """A Page whose rows are the package's DOM elements. Refs are its own: text counts down from -1."""
+    """A Page whose rows are the package's DOM elements, with its refs: negative for lines of text."""
 
-    utterance: str  # read anew at every step, as the page says it
-    fields: tuple[tuple[str, str], ...] | None  # of the instruction, where the page itself names them
+    utterance: str  # the instruction, which a page may change between steps
+    fields: tuple[tuple[str, str], ...] | None  # of the instruction; None unless the page itself names them
     id: tuple[str, ...]  # [E] the HTML attribute
-    held: tuple[str | bool | None, ...]  # [E] what a field holds, whether a box is checked, None elsewhere
+    raw_value: tuple[str | bool | None, ...]  # [E] value of a field, whether a box is checked, None elsewhere
     flags: NDArray[np.int8]  # [E, 4] focused, tampered, targeted, leaf
-    background: tuple[str, ...]  # [E] as CSS writes it, "" for lines of text
+    background: tuple[str, ...]  # [E] CSS colour, "" for lines of text
     foreground: tuple[str, ...]  # [E] likewise
 
 
 def decode_elements(columns: list[Any]) -> Elements:
-    """What elements.js says of a page."""
-    (utterance, fields), tag, text, held, id_, classes, numbers, boxes, colours = columns
+    """An Elements page from the columns that elements.js returns."""
+    (utterance, fields), tag, text, raw_value, id_, classes, numbers, boxes, colours = columns
     table = np.array(numbers, dtype=np.int32).reshape(-1, 5)
     flags = ((table[:, 2:3] & FLAGS) != 0).astype(np.int8)
     return Elements(
@@ -42,8 +42,8 @@ def decode_elements(columns: list[Any]) -> Elements:
         fields=None if fields is None else tuple((str(key), str(value)) for key, value in fields),
         tag=tuple(tag),
         text=tuple(text),
-        value=tuple(each if isinstance(each, str) else str(each or "") for each in held),
-        held=tuple(held),
+        value=tuple(value if isinstance(value, str) else str(value or "") for value in raw_value),
+        raw_value=tuple(raw_value),
         id=tuple(id_),
         classes=tuple(classes),
         ref=table[:, 0].copy(),
@@ -58,13 +58,14 @@ def decode_elements(columns: list[Any]) -> Elements:
 
 
 def elements_of(observation: Observation) -> Elements:
+    """The page of an observation from a farm that was opened with the ELEMENTS view."""
     assert isinstance(observation.page, Elements), "the farm was opened with another view"
     return observation.page
 
 
 @functools.lru_cache(maxsize=4096)
 def rgba(colour: str) -> tuple[float, float, float, float]:
-    """A CSS colour as four numbers from 0 to 1; lines of text, which have none, count as white."""
+    """A CSS colour as RGBA from 0 to 1. White for "" (lines of text) and for notations other than rgb()."""
     channels = [float(number) for number in CHANNEL.findall(colour)]
     if not colour.startswith("rgb") or len(channels) not in (3, 4):
         return WHITE
@@ -80,6 +81,6 @@ ELEMENTS = View(
             "Emulation.setDeviceMetricsOverride",
             {"width": WINDOW[0], "height": WINDOW[1], "deviceScaleFactor": 1, "mobile": False},
         ),
-        ("Emulation.setFocusEmulationEnabled", {"enabled": True}),  # the looks of what has the focus
+        ("Emulation.setFocusEmulationEnabled", {"enabled": True}),  # draws the style of the focused element
     ),
 )

@@ -1,4 +1,4 @@
-"""One environment's place in a farm: the episode that is under way there, in the miniwob package's words."""
+"""One environment's tab in a farm: the episode in progress there, in the miniwob package's format."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from browser_farm.gym.adapter import Fields, MiniWoBAdapter, Observed, Wanted, root_dom
+from browser_farm.gym.adapter import ActionDict, Fields, MiniWoBAdapter, ObservationDict, root_dom
 from browser_farm.gym.elements import Elements, elements_of
 from giirl_core.types import Command, EpisodeSpec, Observation, StepResult
 
-SEEDS = 2**31  # pages that an environment draws from when it is not told which
-MODES = ("train", "test", "default")
-OPENING = StepResult(raw_reward=0.0, done=False, observation=None)
+MAX_SEED = 2**31  # exclusive, for page seeds that an environment samples
+DATA_MODES = ("train", "test", "default")
+RESET_RESULT = StepResult(raw_reward=0.0, done=False, observation=None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResetOptions:
-    """What may change from one reset to the next."""
+    """The options of `reset`, which stay in effect until another reset changes them."""
 
     data_mode: str = "train"
     record_screenshots: bool = False
 
     def __post_init__(self) -> None:
-        if self.data_mode not in MODES:
-            raise ValueError(f"data_mode is {self.data_mode!r}, wanted one of: {', '.join(MODES)}")
+        if self.data_mode not in DATA_MODES:
+            raise ValueError(f"data_mode is {self.data_mode!r}, wanted one of: {', '.join(DATA_MODES)}")
 
     def updated(self, options: Mapping[str, Any] | None) -> ResetOptions:
-        """As the options of a reset say; ValueError for one that is unknown."""
+        """A copy with these options changed; ValueError for an unknown one."""
         unknown = set(options or ()) - {"data_mode", "record_screenshots"}
         if unknown:
             raise ValueError(f"reset got option {min(unknown)!r}, wanted 'data_mode' or 'record_screenshots'")
@@ -38,54 +38,55 @@ class ResetOptions:
 
 
 class EnvSlot:
-    """What one environment shows."""
+    """The state of one environment: its task, page seed and current page."""
 
-    def __init__(self, package: MiniWoBAdapter) -> None:
-        self.package = package
+    def __init__(self, adapter: MiniWoBAdapter) -> None:
+        self.adapter = adapter
         self.seed = 0
-        self.page: Elements | None = None  # None before the first episode and when one is over
+        self.page: Elements | None = None  # None before the first episode and after the end of one
         self.fields: Fields = ()
 
-    def draw(self, generator: np.random.Generator, conduct: ResetOptions, seed: int | None = None) -> EpisodeSpec:
-        """The page of this seed, or one that the generator draws."""
-        drawn = int(generator.integers(SEEDS)) if seed is None else seed
-        return EpisodeSpec(task=self.package.task, seed=drawn, mode=conduct.data_mode)
+    def sample_episode(self, rng: np.random.Generator, options: ResetOptions, seed: int | None = None) -> EpisodeSpec:
+        """The episode with this page seed, or with one that `rng` samples."""
+        page_seed = int(rng.integers(MAX_SEED)) if seed is None else seed
+        return EpisodeSpec(task=self.adapter.task, seed=page_seed, mode=options.data_mode)
 
     def begin(self, observation: Observation) -> None:
         self.seed, self.page = observation.episode.seed, elements_of(observation)
-        self.fields = self.package.fields(self.page)
+        self.fields = self.adapter.fields(self.page)
 
-    def command(self, action: Wanted | None, following: EpisodeSpec | None = None) -> Command:
+    def command(self, action: ActionDict | None, following: EpisodeSpec | None = None) -> Command:
         assert self.page is not None, "begin() comes first"
-        return replace(self.package.command(action, self.page, self.fields), following=following)
+        return replace(self.adapter.command(action, self.page, self.fields), following=following)
 
     def advance(self, result: StepResult) -> None:
-        """Show what an action led to."""
-        goes_on = result.observation is not None and not result.done and not result.lost
-        self.page = elements_of(result.observation) if goes_on and result.observation else None
+        """Take over the page after an action; None if the episode is over."""
+        continues = result.observation is not None and not result.done and not result.lost
+        self.page = elements_of(result.observation) if continues and result.observation else None
 
-    def observed(self, picture: NDArray[np.uint8] | None) -> Observed:
+    def observation(self, screenshot: NDArray[np.uint8] | None) -> ObservationDict:
         if self.page is None:
-            return self.package.blank()
-        return self.package.observe(self.page, self.fields, picture)
+            return self.adapter.empty_observation()
+        return self.adapter.observe(self.page, self.fields, screenshot)
 
-    def info(self, result: StepResult = OPENING, *, tree: bool) -> dict[str, Any]:
-        """What the package tells beside the observation. Time takes no part in our rewards."""
+    def info(self, result: StepResult = RESET_RESULT, *, with_dom: bool) -> dict[str, Any]:
+        """The package's `info`, without "elapsed". `with_dom` adds the page as a tree of DOMElement."""
         info = {
             "done": result.done,
-            "env_reward": result.raw_reward,
+            "env_reward": result.raw_reward,  # equal, since our rewards do not shrink with time
             "raw_reward": result.raw_reward,
             "reason": result.reason or None,
             "seed": self.seed,
         }
         if result.lost:
             info["lost"] = result.lost
-        if tree and self.page is not None:
+        if with_dom and self.page is not None:
             info["root_dom"] = root_dom(self.page)
         return info
 
 
 def checked_render_mode(render_mode: str | None, modes: list[str]) -> str | None:
+    """The render mode itself; ValueError when it is not one of `modes`."""
     if render_mode not in (None, *modes):
-        raise ValueError(f"the browser cannot render as {render_mode!r}, wanted {' or '.join(modes)}, or nothing")
+        raise ValueError(f"render_mode is {render_mode!r}, wanted {' or '.join(modes)}, or None")
     return render_mode

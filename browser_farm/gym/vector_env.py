@@ -16,7 +16,7 @@ from gymnasium.vector.utils import batch_space, iterate
 from numpy.typing import NDArray
 
 from browser_farm.farm import ChromeFarm
-from browser_farm.gym.adapter import Fields, MiniWoBAdapter, Observed, Wanted
+from browser_farm.gym.adapter import ActionDict, Fields, MiniWoBAdapter, ObservationDict
 from browser_farm.gym.elements import ELEMENTS
 from browser_farm.gym.slot import EnvSlot, ResetOptions, checked_render_mode
 from giirl_core.types import Command, EpisodeSpec, Observation, StepResult
@@ -25,22 +25,22 @@ Flags = NDArray[np.bool_]
 
 
 class VectorSlot(EnvSlot):
-    """A place whose episodes follow one another."""
+    """A slot whose episodes follow one another without a reset."""
 
-    def __init__(self, package: MiniWoBAdapter) -> None:
-        super().__init__(package)
-        self.generator, _ = np_random(None)
-        self.following: EpisodeSpec | None = None  # what the farm opens when this episode ends
-        self.opened: Observation | None = None  # and its page, once the farm has
+    def __init__(self, adapter: MiniWoBAdapter) -> None:
+        super().__init__(adapter)
+        self.rng, _ = np_random(None)
+        self.following: EpisodeSpec | None = None  # the episode that the farm opens when this one ends
+        self.opened: Observation | None = None  # its first observation, once the farm has opened it
         self.steps = 0
 
 
-class MiniWoBVector(VectorEnv[Observed, Any, NDArray[Any]]):
-    """As `browser_farm.gym.env.MiniWoB` in each place; a step of all of them costs one call to each tab.
+class MiniWoBVector(VectorEnv[ObservationDict, Any, NDArray[Any]]):
+    """`num_envs` environments like `browser_farm.gym.env.MiniWoB`; a step of all of them is one call to each tab.
 
-    `task` is one for all, or a list that is dealt out in turn. Episodes restart by themselves, one step after they
-    ended (`AutoresetMode.NEXT_STEP`); the next page is opened along with the step that ends an episode, so that
-    restarting costs no call. `infos` holds trees of the package's DOMElement only where `root_dom` asks for them.
+    `task` is one task for all environments, or a list that is assigned to them in turn. Episodes restart by themselves
+    one step after their end (`AutoresetMode.NEXT_STEP`). The next page is opened by the step that ends an episode, so
+    a restart costs no call. `infos` holds trees of the package's DOMElement only if `root_dom` is set.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (as declared)
@@ -69,19 +69,19 @@ class MiniWoBVector(VectorEnv[Observed, Any, NDArray[Any]]):
         if num_envs < 1 or (max_episode_steps is not None and max_episode_steps < 1):
             raise ValueError(f"num_envs is {num_envs}, max_episode_steps {max_episode_steps}: wanted at least 1")
         tasks = [task] if isinstance(task, str) else list(task)
-        packages = [MiniWoBAdapter.of(each, action_space_config, field_extractor, reward_processor) for each in tasks]
-        if len({package.size for package in packages}) != 1:
-            raise ValueError(f"the pages of {', '.join(tasks)} differ in size: wanted tasks that share a space")
+        adapters = [MiniWoBAdapter.of(each, action_space_config, field_extractor, reward_processor) for each in tasks]
+        if len({adapter.size for adapter in adapters}) != 1:
+            raise ValueError(f"the pages of {', '.join(tasks)} differ in size: wanted tasks with the same spaces")
         self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
         self.single_action_space, self.single_observation_space = (
-            packages[0].action_space,
-            packages[0].observation_space,
+            adapters[0].action_space,
+            adapters[0].observation_space,
         )
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._places = [VectorSlot(packages[at % len(packages)]) for at in range(num_envs)]
-        self._conduct = ResetOptions(data_mode=data_mode, record_screenshots=record_screenshots)
-        self._tree = root_dom
+        self._slots = [VectorSlot(adapters[index % len(adapters)]) for index in range(num_envs)]
+        self._options = ResetOptions(data_mode=data_mode, record_screenshots=record_screenshots)
+        self._with_dom = root_dom
         self._farm = ChromeFarm(
             tabs=num_envs,
             view=ELEMENTS,
@@ -92,93 +92,95 @@ class MiniWoBVector(VectorEnv[Observed, Any, NDArray[Any]]):
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[Observed, dict[str, Any]]:
-        """Open a page in each place: of the seeds given, of `seed`, `seed + 1`, ..., or of what each draws."""
-        self._conduct = self._conduct.updated(options)
-        seeds = [seed + at for at in range(self.num_envs)] if isinstance(seed, int) else seed or [None] * self.num_envs
+    ) -> tuple[ObservationDict, dict[str, Any]]:
+        """Open a page in each slot: of the seeds given, of `seed`, `seed + 1`, ..., or of sampled seeds."""
+        self._options = self._options.updated(options)
+        seeds = [seed + index for index in range(self.num_envs)] if isinstance(seed, int) else seed
+        seeds = seeds or [None] * self.num_envs
         if len(seeds) != self.num_envs:
             raise ValueError(f"reset got {len(seeds)} seeds, wanted one for each of {self.num_envs} environments")
         episodes = {}
-        for at, (place, each) in enumerate(zip(self._places, seeds, strict=True)):
-            if each is not None:
-                place.generator, _ = np_random(each)
-            episodes[at] = place.draw(place.generator, self._conduct, each)
+        for index, (slot, page_seed) in enumerate(zip(self._slots, seeds, strict=True)):
+            if page_seed is not None:
+                slot.rng, _ = np_random(page_seed)
+            episodes[index] = slot.sample_episode(slot.rng, self._options, page_seed)
         self._begin(self._farm.reset(episodes))
-        return self._observed(), self._together({at: place.info(tree=self._tree) for at, place in self._numbered()})
+        infos = {index: slot.info(with_dom=self._with_dom) for index, slot in enumerate(self._slots)}
+        return self._observe(), self._merge_infos(infos)
 
-    def step(self, actions: Any) -> tuple[Observed, NDArray[np.float64], Flags, Flags, dict[str, Any]]:
-        """Act in each place. `actions` are of the action space, or a list with an action for each place."""
-        each = actions if isinstance(actions, (list, tuple)) else list(iterate(self.action_space, actions))
-        if len(each) != self.num_envs:
-            raise ValueError(f"step got {len(each)} actions, wanted one for each of {self.num_envs} environments")
-        going_on = [at for at, place in self._numbered() if place.page is not None]
-        results = self._farm.step({at: self._command(self._places[at], each[at]) for at in going_on})
-        self._restart([at for at, _ in self._numbered() if at not in results])
+    def step(self, actions: Any) -> tuple[ObservationDict, NDArray[np.float64], Flags, Flags, dict[str, Any]]:
+        """Act in each slot. `actions` is a batch from the action space, or a list with one action per slot."""
+        per_slot = actions if isinstance(actions, (list, tuple)) else list(iterate(self.action_space, actions))
+        if len(per_slot) != self.num_envs:
+            raise ValueError(f"step got {len(per_slot)} actions, wanted one for each of {self.num_envs} environments")
+        running = [index for index, slot in enumerate(self._slots) if slot.page is not None]
+        results = self._farm.step({index: self._command(self._slots[index], per_slot[index]) for index in running})
+        restarted = [index for index in range(self.num_envs) if index not in results]
+        self._restart(restarted)
         rewards = np.zeros(self.num_envs, dtype=np.float64)
         terminated, truncated = np.zeros((2, self.num_envs), dtype=np.bool_)
-        infos = {at: place.info(tree=self._tree) for at, place in self._numbered() if at not in results}
-        for at, result in results.items():
-            place = self._places[at]
-            terminated[at], truncated[at] = result.done, self._advance(place, result)
-            infos[at] = place.info(result, tree=self._tree)
-            rewards[at] = place.package.reward_processor(infos[at])
-        observed = self._observed()
-        for place, cut in zip(self._places, truncated, strict=True):
-            if cut:
-                place.page = None
-        return observed, rewards, terminated, truncated, self._together(infos)
+        infos = {index: self._slots[index].info(with_dom=self._with_dom) for index in restarted}
+        for index, result in results.items():
+            slot = self._slots[index]
+            terminated[index], truncated[index] = result.done, self._advance(slot, result)
+            infos[index] = slot.info(result, with_dom=self._with_dom)
+            rewards[index] = slot.adapter.reward_processor(infos[index])
+        observation = self._observe()
+        for slot, cut_off in zip(self._slots, truncated, strict=True):
+            if cut_off:
+                slot.page = None
+        return observation, rewards, terminated, truncated, self._merge_infos(infos)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Screenshots of all places for "rgb_array"; otherwise nothing, a window shows itself."""
-        return tuple(self._pictures(range(self.num_envs)).values()) if self.render_mode == "rgb_array" else None
+        """Screenshots of all slots for "rgb_array", else None: in "human" mode the window itself is visible."""
+        return tuple(self._screenshots(range(self.num_envs)).values()) if self.render_mode == "rgb_array" else None
 
     def close_extras(self, **kwargs: Any) -> None:
         del kwargs
         self._farm.close()
 
-    def _numbered(self) -> list[tuple[int, VectorSlot]]:
-        return list(enumerate(self._places))
-
     def _begin(self, observations: Mapping[int, Observation]) -> None:
-        for at, observation in observations.items():
-            place = self._places[at]
-            place.begin(observation)
-            place.steps, place.following, place.opened = 0, None, None
+        for index, observation in observations.items():
+            slot = self._slots[index]
+            slot.begin(observation)
+            slot.steps, slot.following, slot.opened = 0, None, None
 
-    def _command(self, place: VectorSlot, action: Wanted | None) -> Command:
-        place.following = place.following or place.draw(place.generator, self._conduct)
-        return place.command(action, place.following)
+    def _command(self, slot: VectorSlot, action: ActionDict | None) -> Command:
+        slot.following = slot.following or slot.sample_episode(slot.rng, self._options)
+        return slot.command(action, slot.following)
 
-    def _restart(self, over: Sequence[int]) -> None:
-        """Begin an episode where one has ended: with the page that is already there, or with one still to be opened."""
-        there = {at: self._places[at].opened for at in over}
-        missing = {at: self._places[at].following for at, page in there.items() if page is None}
+    def _restart(self, finished: Sequence[int]) -> None:
+        """Begin the next episode of finished slots, with the page that is already open or by opening it now."""
+        pages = {index: self._slots[index].opened for index in finished}
+        missing = {index: self._slots[index].following for index, page in pages.items() if page is None}
         if None in missing.values():
             raise ResetNeeded("MiniWoBVector.step() was called before reset()")
-        opened = self._farm.reset({at: episode for at, episode in missing.items() if episode})
-        self._begin({**{at: page for at, page in there.items() if page}, **opened})
+        opened = self._farm.reset({index: episode for index, episode in missing.items() if episode})
+        self._begin({**{index: page for index, page in pages.items() if page}, **opened})
 
-    def _advance(self, place: VectorSlot, result: StepResult) -> bool:
-        """Show what an action led to; True where that cuts the episode off."""
-        place.advance(result)
-        place.steps += 1
-        if place.page is None:
-            place.opened = result.observation
-        return bool(result.lost) or (place.steps == self.max_episode_steps and not result.done)
+    def _advance(self, slot: VectorSlot, result: StepResult) -> bool:
+        """Take over the result of an action; returns whether the episode is truncated."""
+        slot.advance(result)
+        slot.steps += 1
+        if slot.page is None:
+            slot.opened = result.observation
+        return bool(result.lost) or (slot.steps == self.max_episode_steps and not result.done)
 
-    def _observed(self) -> Observed:
-        shown = [at for at, place in self._numbered() if place.page is not None]
-        pictures = self._pictures(shown) if self._conduct.record_screenshots else {}
-        each = [place.observed(pictures.get(at)) for at, place in self._numbered()]
-        blank = np.zeros(self.observation_space["screenshot"].shape, dtype=np.uint8)  # type: ignore[index]
-        batch: Observed = {key: tuple(one[key] for one in each) for key in ("utterance", "dom_elements", "fields")}
-        return {**batch, "screenshot": np.stack([one["screenshot"] for one in each]) if pictures else blank}
+    def _observe(self) -> ObservationDict:
+        visible = [index for index, slot in enumerate(self._slots) if slot.page is not None]
+        screenshots = self._screenshots(visible) if self._options.record_screenshots else {}
+        single = [slot.observation(screenshots.get(index)) for index, slot in enumerate(self._slots)]
+        batch: ObservationDict = {
+            key: tuple(one[key] for one in single) for key in ("utterance", "dom_elements", "fields")
+        }
+        black = np.zeros(self.observation_space["screenshot"].shape, dtype=np.uint8)  # type: ignore[index]
+        return {**batch, "screenshot": np.stack([one["screenshot"] for one in single]) if screenshots else black}
 
-    def _pictures(self, places: Sequence[int]) -> dict[int, NDArray[np.uint8]]:
-        return self._farm.screenshots(places, *self._places[0].package.size)
+    def _screenshots(self, slots: Sequence[int]) -> dict[int, NDArray[np.uint8]]:
+        return self._farm.screenshots(slots, *self._slots[0].adapter.size)
 
-    def _together(self, infos: Mapping[int, dict[str, Any]]) -> dict[str, Any]:
-        together: dict[str, Any] = {}
-        for at, info in infos.items():
-            together = self._add_info(together, info, at)
-        return together
+    def _merge_infos(self, infos: Mapping[int, dict[str, Any]]) -> dict[str, Any]:
+        merged: dict[str, Any] = {}
+        for index, info in infos.items():
+            merged = self._add_info(merged, info, index)
+        return merged

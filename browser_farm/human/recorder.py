@@ -91,7 +91,7 @@ class Recorder:
 
     def _open(self, spec: EpisodeSpec) -> Goal:
         for failure in self._tabs.navigate({TAB: page_url(spec.task)}).values():
-            raise Interrupted(f"{spec.task} cannot be opened: {failure.cause} {failure.words}")
+            raise Interrupted(f"{spec.task} cannot be opened: {failure.cause} {failure.message}")
         self._tabs.show(TAB)
         goal = pages.decode(_checked(self._tabs.ask({TAB: pages.start_call(spec)}, opening=True)[TAB]), pages.ROWS).goal
         assert goal is not None, "an opened page reports its instruction"
@@ -103,7 +103,7 @@ def _checked(answer: Any | Failure) -> Any:
     if isinstance(answer, Failure) and answer.cause == "tab_crashed":
         raise BrowserGone("the tab was closed or crashed")
     if isinstance(answer, Failure):
-        raise Interrupted(f"{answer.cause} {answer.words}".strip())
+        raise Interrupted(f"{answer.cause} {answer.message}".strip())
     if answer == pages.GONE:
         raise Interrupted("the page was left")
     return answer

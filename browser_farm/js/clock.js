@@ -1,18 +1,19 @@
-// The time that a page lives in: it stands still between two steps, so that the same actions meet the same page.
-// Joined in front of all others, in every frame.
+// Virtual time of a page: it stands still between two steps, so that the same actions always have the same effect.
+// Runs before all other scripts, in every frame.
 const clock = (() => {
   'use strict';
 
-  const EPOCH_MS = Date.UTC(2025, 0, 1, 12);  // what a page takes for now when its episode begins
+  const EPOCH_MS = Date.UTC(2025, 0, 1, 12);  // the date at which every episode begins
   const FRAME_MS = 16;
-  const LAST_FRAME_MS = 1000; // between frames that nobody will see
-  const SETTLE_MS = 2000;     // how long to wait at most for what an action set going
-  const DRAIN_MS = 60000;     // how much is left over from an episode at most
-  const MAX_CALLS = 5000;     // in one advance: a page may set timers for ever
+  const DRAIN_FRAME_MS = 1000;  // between animation frames while an old episode is drained
+  const SETTLE_MS = 2000;       // the most extra time that the timers of an action get
+  const DRAIN_MS = 60000;       // the most time that the timers of an old episode get
+  const MAX_CALLS = 5000;       // per run: a page may set timers for ever
 
   const native = { Date: window.Date };
   for (const name of ['setTimeout', 'requestAnimationFrame']) native[name] = window[name].bind(window);
-  const timers = new Map();   // id -> {due, call, every}
+  // id -> {due, call, every, once}; `every` is null unless the timer repeats, `once` is false for animation frames
+  const timers = new Map();
   let now = 0, begun = 0, nextId = 1, frameMs = FRAME_MS;
 
   function add(call, delay, every, once = true) {
@@ -22,19 +23,20 @@ const clock = (() => {
     return id;
   }
 
-  const bound = (code, rest) => (typeof code === 'function' ? () => code.apply(window, rest) : () => (0, eval)(String(code)));
+  const callback = (code, args) =>
+    (typeof code === 'function' ? () => code.apply(window, args) : () => (0, eval)(String(code)));
   const remove = (id) => { timers.delete(id); };
 
-  window.setTimeout = (code, delay, ...rest) => add(bound(code, rest), delay, null);
-  window.setInterval = (code, delay, ...rest) => add(bound(code, rest), delay, Math.max(Number(delay) || 0, 1));
-  window.requestAnimationFrame = (frame) => add(() => frame(now - begun), frameMs, null, false);
+  window.setTimeout = (code, delay, ...args) => add(callback(code, args), delay, null);
+  window.setInterval = (code, delay, ...args) => add(callback(code, args), delay, Math.max(Number(delay) || 0, 1));
+  window.requestAnimationFrame = (draw) => add(() => draw(now - begun), frameMs, null, false);
   window.clearTimeout = window.clearInterval = window.cancelAnimationFrame = remove;
   window.performance.now = () => now - begun;
 
   function PageDate(...parts) {
     if (!new.target) return new native.Date(EPOCH_MS + now - begun).toString();
-    const given = parts.length ? parts : [EPOCH_MS + now - begun];
-    return Reflect.construct(native.Date, given, new.target === PageDate ? native.Date : new.target);
+    const args = parts.length ? parts : [EPOCH_MS + now - begun];
+    return Reflect.construct(native.Date, args, new.target === PageDate ? native.Date : new.target);
   }
   Object.setPrototypeOf(PageDate, native.Date);
   PageDate.prototype = native.Date.prototype;
@@ -42,10 +44,10 @@ const clock = (() => {
   PageDate.now = () => EPOCH_MS + now - begun;
   window.Date = PageDate;
 
-  // Run what is due until `ms` from now, in its order; `more` says whether to go on before that.
-  function run(ms, more) {
+  // Run the timers that are due within `ms`, in order, while `goOn()` is true.
+  function run(ms, goOn) {
     const until = now + ms;
-    for (let calls = 0; calls < MAX_CALLS && more(); calls += 1) {
+    for (let calls = 0; calls < MAX_CALLS && goOn(); calls += 1) {
       let first = null;
       for (const [id, timer] of timers) {
         if (timer.due <= until && (first === null || timer.due < first[1].due)) first = [id, timer];
@@ -58,17 +60,25 @@ const clock = (() => {
       try {
         timer.call();
       } catch (error) {
-        reportError(error);  // as for any timer: it ends nothing else
+        reportError(error);  // as with any timer, an exception does not stop the others
       }
     }
   }
 
-  function someWait(within, since = 0) {
-    for (const [id, { due, every, once }] of timers) if (every === null && once && id >= since && due <= within) return true;
+  // Whether a timeout is due by `until` that was set since the timer id `since`.
+  function hasTimeouts(until, since = 0) {
+    for (const [id, { due, every, once }] of timers) {
+      if (every === null && once && id >= since && due <= until) return true;
+    }
     return false;
   }
 
-  // Let `ms` go by, and then as much as the timers still need that were set since `mark`.
+  function hasFrames() {
+    for (const { once, every } of timers.values()) if (!once && every === null) return true;
+    return false;
+  }
+
+  // Let `ms` pass, and then as much as the timeouts need that were set since `mark`.
   function pass(ms, mark) {
     if (timers.size === 0) {
       now += ms;
@@ -77,22 +87,17 @@ const clock = (() => {
     const until = now + ms, end = now + SETTLE_MS;
     run(ms, () => true);
     now = Math.max(now, until);
-    run(end - now, () => someWait(end, mark));
+    run(end - now, () => hasTimeouts(end, mark));
   }
 
-  // Nothing of the last episode may reach into the next.
+  // Begin an episode: finish what the last one has started, so that it cannot affect the new one.
   function restart() {
     const end = now + DRAIN_MS;
-    frameMs = LAST_FRAME_MS;
-    run(DRAIN_MS, () => someWait(end) || someFrames());
+    frameMs = DRAIN_FRAME_MS;
+    run(DRAIN_MS, () => hasTimeouts(end) || hasFrames());
     frameMs = FRAME_MS;
     begun = now;
     for (const timer of timers.values()) if (timer.every !== null) timer.due = now + timer.every;
-  }
-
-  function someFrames() {
-    for (const { once, every } of timers.values()) if (!once && every === null) return true;
-    return false;
   }
 
   return { native, pass, restart, mark: () => nextId };

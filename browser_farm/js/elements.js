@@ -1,33 +1,35 @@
-// The page as the miniwob package sees it: the same elements with the same numbers and looks, laid out as columns.
-// Joined in front of frame.js, which reads through it where a farm was opened with that view.
+// Reads a page as the miniwob package does: the same elements, refs and styles, as columns. Runs before frame.js, which
+// uses it in a farm that was opened with the ELEMENTS view.
 const elements = (() => {
   'use strict';
 
   const FOCUSED = 1, TAMPERED = 2, LEAF = 8;  // as in elements.py
-  const FURNITURE = new Set(['reward-display', 'sync-task-cover', 'click-canvas', 'query']);
-  const NUMBERS = 5, SIDES = 4;  // a row
+  const NON_TASK_IDS = new Set(['reward-display', 'sync-task-cover', 'click-canvas', 'query']);
+  const NUMBERS_PER_ROW = 5, BOX_NUMBERS_PER_ROW = 4;
 
-  // The flight tasks show a site in a frame, which counts for itself and has no furniture.
-  const site = () => window.$miniwob || core;
-  const flight = () => '$miniwob' in window;
-  // What stands beside a click and a ref, to tell this episode's from an earlier one's.
-  const episode = () => (flight() ? 'e' : `e${WOB_EPISODE_ID}`);
+  // The flight tasks show a site in an iframe, which has its own ref counters and no elements to skip.
+  const counters = () => window.$miniwob || core;
+  const isFlight = () => '$miniwob' in window;
+  // Refs and clicks are stored in attributes with this mark, which tells the episodes apart.
+  const episodeMark = () => (isFlight() ? 'e' : `e${WOB_EPISODE_ID}`);
 
-  let nodes = new Map();  // ref -> element, of those shown last
-  let rows, colours, now, active;
+  let nodes = new Map();  // ref -> element, from the last walk
+  let rows, colours, mark, active;
 
+  // The columns of elements.decode_elements. `numbers` holds ref, parent row, flags, background and foreground of each
+  // row; the last two are indices into the colours.
   function walk() {
     rows = { tag: [], text: [], value: [], id: [], classes: [], numbers: [], boxes: [] };
     colours = new Map();
     nodes = new Map();
-    now = episode();
+    mark = episodeMark();
     active = document.activeElement;
     visit(document.body, -1);
     const { tag, text, value, id, classes, numbers, boxes } = rows;
-    return [said(), tag, text, value, id, classes, numbers, boxes, [...colours.keys()]];
+    return [instruction(), tag, text, value, id, classes, numbers, boxes, [...colours.keys()]];
   }
 
-  function colour(name) {
+  function colourIndex(name) {
     let index = colours.get(name);
     if (index === undefined) {
       index = colours.size;
@@ -36,7 +38,7 @@ const elements = (() => {
     return index;
   }
 
-  function row(tag, text, value, id, classes, numbers, box) {
+  function addRow(tag, text, value, id, classes, numbers, box) {
     rows.text.push(text);
     rows.value.push(value);
     rows.id.push(id);
@@ -48,11 +50,11 @@ const elements = (() => {
 
   function refOf(element) {
     const known = element.getAttribute('data-wob_ref');
-    if (known !== null && (flight() || element.getAttribute('data-wob_eps') === now)) return Number(known);
-    const ref = site().nextRefCode;
-    site().nextRefCode += 1;
+    if (known !== null && (isFlight() || element.getAttribute('data-wob_eps') === mark)) return Number(known);
+    const ref = counters().nextRefCode;
+    counters().nextRefCode += 1;
     element.setAttribute('data-wob_ref', ref);
-    if (!flight()) element.setAttribute('data-wob_eps', now);
+    if (!isFlight()) element.setAttribute('data-wob_eps', mark);
     return ref;
   }
 
@@ -63,104 +65,107 @@ const elements = (() => {
     return element instanceof HTMLTextAreaElement ? element.value : null;
   }
 
+  // Add rows for an element and everything in it; false if it is not visible.
   function visit(element, parent) {
-    if (!flight() && FURNITURE.has(element.id)) return false;
+    if (!isFlight() && NON_TASK_IDS.has(element.id)) return false;
     const box = element.getBoundingClientRect();
     if (box.width === 0 || box.height === 0) return false;
     const tampered = element.getAttribute('data-tampered');
     const flags = (element === active ? FOCUSED : 0)
-      | (tampered !== null && (flight() || tampered === now) ? TAMPERED : 0);
+      | (tampered !== null && (isFlight() || tampered === mark) ? TAMPERED : 0);
     const { backgroundColor, color } = getComputedStyle(element);
     const ref = refOf(element);
-    const input = element instanceof HTMLInputElement ? `_${element.type}` : '';
+    const inputType = element instanceof HTMLInputElement ? `_${element.type}` : '';
     const { className } = element;
-    const here = row((element.tagName + input).toLowerCase(), '', valueOf(element), String(element.id),
+    const row = addRow((element.tagName + inputType).toLowerCase(), '', valueOf(element), String(element.id),
       typeof className === 'string' ? className : 'SVG_CLASS',
-      [ref, parent, flags, colour(backgroundColor), colour(color)], box);
+      [ref, parent, flags, colourIndex(backgroundColor), colourIndex(color)], box);
     nodes.set(ref, element);
-    const words = element.firstElementChild === null ? ownWords(element) : below(element, here);
-    if (words !== null) {
-      rows.text[here] = words;
-      rows.numbers[here * NUMBERS + 2] |= LEAF;
+    const text = element.firstElementChild === null ? ownText(element) : visitChildren(element, row);
+    if (text !== null) {
+      rows.text[row] = text;
+      rows.numbers[row * NUMBERS_PER_ROW + 2] |= LEAF;
     }
     return true;
   }
 
-  function ownWords(element) {
-    const words = [];
+  function ownText(element) {
+    const parts = [];
     for (let node = element.firstChild; node !== null; node = node.nextSibling) {
-      if (node.nodeType === Node.TEXT_NODE && /\S/.test(node.data)) words.push(node.data.trim());
+      if (node.nodeType === Node.TEXT_NODE && /\S/.test(node.data)) parts.push(node.data.trim());
     }
-    return words.join(' ');
+    return parts.join(' ');
   }
 
-  // Rows for all children. Where those are lines of text alone, the element itself is a leaf with these words.
-  function below(element, here) {
-    let inner = false;
+  // Add rows for all children. If they are only lines of text, the element itself is a leaf: their rows are removed
+  // and their text is returned.
+  function visitChildren(element, row) {
+    let hasElements = false;
     for (let node = element.firstChild; node !== null; node = node.nextSibling) {
-      if (node.nodeType === Node.ELEMENT_NODE) inner = visit(node, here) || inner;
-      else if (node.nodeType === Node.TEXT_NODE && /\S/.test(node.data)) lines(node, here);
+      if (node.nodeType === Node.ELEMENT_NODE) hasElements = visit(node, row) || hasElements;
+      else if (node.nodeType === Node.TEXT_NODE && /\S/.test(node.data)) addTextRows(node, row);
     }
-    const words = rows.text.slice(here + 1);
-    if (inner || words.length === 0) return null;
-    for (const name of ['tag', 'text', 'value', 'id', 'classes']) rows[name].length = here + 1;
-    rows.numbers.length = (here + 1) * NUMBERS;
-    rows.boxes.length = (here + 1) * SIDES;
-    return words.join(' ');
+    const texts = rows.text.slice(row + 1);
+    if (hasElements || texts.length === 0) return null;
+    for (const name of ['tag', 'text', 'value', 'id', 'classes']) rows[name].length = row + 1;
+    rows.numbers.length = (row + 1) * NUMBERS_PER_ROW;
+    rows.boxes.length = (row + 1) * BOX_NUMBERS_PER_ROW;
+    return texts.join(' ');
   }
 
-  // A row for each line that bare text takes; its refs count down and are new each time.
-  function lines(node, parent) {
+  // Add a row for each line of a text node. Their refs are negative and new in each walk.
+  function addTextRows(node, parent) {
     const range = document.createRange();
-    const rects = (start, end) => {
+    const rectsOf = (start, end) => {
       range.setStart(node, start);
       range.setEnd(node, end);
       return range.getClientRects();
     };
     const length = node.data.length;
     for (let start = 0; start < length;) {
-      let end = length, found = rects(start, end);
-      if (found.length > 1) {  // the longest piece that stays on one line
+      let end = length, rects = rectsOf(start, end);
+      if (rects.length > 1) {  // binary search for the longest part that fits on one line
         let low = start + 1, high = length - 1;
         while (low < high) {
           const middle = Math.ceil((low + high) / 2);
-          if (rects(start, middle).length <= 1) low = middle;
+          if (rectsOf(start, middle).length <= 1) low = middle;
           else high = middle - 1;
         }
         end = low;
-        found = rects(start, end);
+        rects = rectsOf(start, end);
       }
       const text = node.data.slice(start, end).trim();
-      if (found.length > 0 && found[0].width > 0 && found[0].height > 0 && text) {
-        const ref = site().nextTextRefCode;
-        site().nextTextRefCode -= 1;
-        row('t', text, null, '', '', [ref, parent, LEAF, colour(''), colour('')], found[0]);
+      if (rects.length > 0 && rects[0].width > 0 && rects[0].height > 0 && text) {
+        const ref = counters().nextTextRefCode;
+        counters().nextTextRefCode -= 1;
+        addRow('t', text, null, '', '', [ref, parent, LEAF, colourIndex(''), colourIndex('')], rects[0]);
       }
       start = end;
     }
   }
 
-  // A page says its instruction as a string, or as an object that brings the fields along.
-  function said() {
-    const words = (window.core || window.parent.core).getUtterance();
-    return typeof words === 'object' && words !== null ? [words.utterance, fieldsOf(words.fields)] : [words, null];
+  // [utterance, fields]. A page returns its instruction as a string, or as an object that also has the fields.
+  function instruction() {
+    const utterance = (window.core || window.parent.core).getUtterance();
+    if (typeof utterance !== 'object' || utterance === null) return [utterance, null];
+    return [utterance.utterance, sortedFields(utterance.fields)];
   }
 
-  // In the order of their names: so chromedriver hands them to the package.
-  const fieldsOf = (named) => Object.entries(named).sort(([one], [other]) => (one < other ? -1 : 1));
+  // Sorted by name, the order in which chromedriver returns them to the package.
+  const sortedFields = (fields) => Object.entries(fields).sort(([one], [other]) => (one < other ? -1 : 1));
 
-  // The page notes clicks that come up to its body, until the farm quiets it.
-  function note(event) {
-    event.target.setAttribute('data-tampered', episode());
+  // MiniWoB marks clicks that bubble up to the body, with a listener that page.js removes.
+  function markClick(event) {
+    event.target.setAttribute('data-tampered', episodeMark());
   }
 
-  // The click that ended the last episode carries the number of the next.
-  function forget() {
-    reading.forget();
-    if (!core.flightChildWindow) document.body.addEventListener('click', note);
+  // The click that ends an episode is marked with the number of the next one, so that number is skipped.
+  function reset() {
+    reading.reset();
+    if (!core.flightChildWindow) document.body.addEventListener('click', markClick);
     core.endEpisode(0);
     WOB_EPISODE_ID += 1;
   }
 
-  return { walk, forget, nodeOf: (ref) => (ref === 0 ? null : nodes.get(ref)) };
+  return { walk, reset, nodeOf: (ref) => (ref === 0 ? null : nodes.get(ref)) };
 })();

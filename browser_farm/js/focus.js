@@ -1,63 +1,63 @@
-// The focus of a tab that Chrome does not show: it moves, and says so, as in one that is shown.
+// Focus in a hidden tab: it moves and fires the same events as in a visible one.
 (() => {
   'use strict';
 
-  // Giving the focus to an element and taking it away again costs Chrome a third of a step. For what is only pressed
-  // it is enough that the page takes it for focused; whatever holds text gets the real focus.
-  const PRESSED = new Set(['button', 'submit', 'reset', 'checkbox', 'radio', 'image']);
-  const nativeActive = Object.getOwnPropertyDescriptor(Document.prototype, 'activeElement').get;
+  // Moving the real focus costs Chrome a third of a step. For elements that can only be pressed it is enough to report
+  // them as document.activeElement; elements that hold text get the real focus.
+  const PRESSABLE = new Set(['button', 'submit', 'reset', 'checkbox', 'radio', 'image']);
+  const nativeActiveElement = Object.getOwnPropertyDescriptor(Document.prototype, 'activeElement').get;
   const nativeFocus = HTMLElement.prototype.focus;
-  let pressed = null;
+  let pressed = null;  // the element that is reported as focused without having the real focus
   Object.defineProperty(document, 'activeElement', {
-    get: () => (pressed && pressed.isConnected ? pressed : nativeActive.call(document)),
+    get: () => (pressed && pressed.isConnected ? pressed : nativeActiveElement.call(document)),
   });
 
-  function canBePressed(element) {
+  function isPressable(element) {
     return (element instanceof HTMLButtonElement || element instanceof HTMLInputElement)
-      && PRESSED.has(element.type) && !element.disabled && element.getClientRects().length > 0;
+      && PRESSABLE.has(element.type) && !element.disabled && element.getClientRects().length > 0;
   }
 
-  // A date field keeps the focus in one of its inner parts whatever blur() says, until another element takes it.
+  // blur() leaves the focus in an inner part of a date field; only focusing another element removes it.
   function release(element, blur) {
     blur.call(element);
-    if (nativeActive.call(document) !== element) return;
+    if (nativeActiveElement.call(document) !== element) return;
     document.body.tabIndex = -1;
     nativeFocus.call(document.body);
     document.body.removeAttribute('tabindex');
   }
 
-  // A hidden tab has no focus: its active element changes without a word. Say what a shown one would say.
-  for (const kind of [HTMLElement.prototype, SVGElement.prototype]) {
-    const { focus, blur } = kind;
-    kind.focus = function focusAndTell(...options) {
+  // A hidden tab changes its active element without firing events. Fire those of a visible tab.
+  for (const prototype of [HTMLElement.prototype, SVGElement.prototype]) {
+    const { focus, blur } = prototype;
+    prototype.focus = function focusWithEvents(...options) {
       const before = document.activeElement;
-      if (!document.hasFocus() && canBePressed(this)) {
-        const real = nativeActive.call(document);
-        if (real && real !== document.body) release(real, blur);
+      if (!document.hasFocus() && isPressable(this)) {
+        const focused = nativeActiveElement.call(document);
+        if (focused && focused !== document.body) release(focused, blur);
         pressed = this;
       } else {
         focus.apply(this, options);
-        if (nativeActive.call(document) === this) pressed = null;
+        if (nativeActiveElement.call(document) === this) pressed = null;
       }
-      focusMoved(before, document.activeElement);
+      dispatchFocusEvents(before, document.activeElement);
     };
-    kind.blur = function blurAndTell() {
+    prototype.blur = function blurWithEvents() {
       const before = document.activeElement;
       if (pressed === this) pressed = null;
       else release(this, blur);
-      focusMoved(before, document.activeElement);
+      dispatchFocusEvents(before, document.activeElement);
     };
   }
 
-  function focusMoved(before, after) {
+  function dispatchFocusEvents(before, after) {
     if (before === after || document.hasFocus()) return;
-    const tell = (element, names, relatedTarget) => {
+    const dispatch = (element, events, relatedTarget) => {
       if (!element || element === document.body) return;
-      for (const [name, bubbles] of names) {
+      for (const [name, bubbles] of events) {
         element.dispatchEvent(new FocusEvent(name, { bubbles, composed: true, view: window, relatedTarget }));
       }
     };
-    tell(before, [['blur', false], ['focusout', true]], after);
-    tell(after, [['focus', false], ['focusin', true]], before);
+    dispatch(before, [['blur', false], ['focusout', true]], after);
+    dispatch(after, [['focus', false], ['focusin', true]], before);
   }
 })();

@@ -1,18 +1,19 @@
-// What a person's mouse does to a page, as the events that a browser would send for it. Joined in front of page.js.
+// Mouse actions, as the DOM events that a browser would dispatch for them. Runs before page.js.
 const gestures = (() => {
   'use strict';
 
+  // As in giirl_core.actions.Verb; WAIT (11) does nothing here.
   const CLICK = 0, TYPE = 1, APPEND = 2, PRESS = 3, SCROLL = 4, DRAG = 5, HOVER = 6, DOUBLE_CLICK = 7,
     MOUSE_DOWN = 8, MOUSE_UP = 9, ACTIVATE = 10;
-  const DRAG_MOVES = 6;   // sortable lists look at every move
-  const CORNER_PX = 16;   // of a text area: its size is dragged there
+  const DRAG_MOVES = 6;   // sortable lists react to every move
+  const CORNER_PX = 16;   // size of the resize handle of a text area
 
   let hovered = null;
-  let held = null;  // where the mouse button went down: {target, x, y, range, corner}
+  let held = null;  // where the mouse button was pressed: {target, x, y, range, corner}
 
-  function mouse(target, name, x, y, buttons, bubbles = true, detail = 0) {
-    const Kind = name.startsWith('pointer') ? PointerEvent : MouseEvent;
-    return target.dispatchEvent(new Kind(name, {
+  function dispatchMouse(target, name, x, y, buttons, bubbles = true, detail = 0) {
+    const EventType = name.startsWith('pointer') ? PointerEvent : MouseEvent;
+    return target.dispatchEvent(new EventType(name, {
       bubbles, cancelable: bubbles, composed: true, view: window, detail,
       clientX: x, clientY: y, screenX: x, screenY: y, button: 0, buttons, pointerId: 1, isPrimary: true,
     }));
@@ -21,22 +22,22 @@ const gestures = (() => {
   function hover(element, x, y) {
     const buttons = held ? 1 : 0;
     if (hovered && hovered !== element && hovered.isConnected) {
-      mouse(hovered, 'mouseout', x, y, buttons);
-      mouse(hovered, 'mouseleave', x, y, buttons, false);
+      dispatchMouse(hovered, 'mouseout', x, y, buttons);
+      dispatchMouse(hovered, 'mouseleave', x, y, buttons, false);
     }
     if (hovered !== element) {
-      mouse(element, 'pointerover', x, y, buttons);
-      mouse(element, 'mouseover', x, y, buttons);
-      mouse(element, 'mouseenter', x, y, buttons, false);
+      dispatchMouse(element, 'pointerover', x, y, buttons);
+      dispatchMouse(element, 'mouseover', x, y, buttons);
+      dispatchMouse(element, 'mouseenter', x, y, buttons, false);
     }
     hovered = element;
-    mouse(element, 'pointermove', x, y, buttons);
-    mouse(element, 'mousemove', x, y, buttons);
+    dispatchMouse(element, 'pointermove', x, y, buttons);
+    dispatchMouse(element, 'mousemove', x, y, buttons);
   }
 
-  function focusNear(element) {
+  function focusNearest(element) {
     for (let node = element; node && node !== document.body; node = node.parentElement) {
-      // Asking Chrome whether an element takes the focus costs a layout: ask only those that may.
+      // Testing whether an element takes the focus costs a layout: try only those that can.
       if (node.tabIndex < 0 && !node.hasAttribute('tabindex') && !node.isContentEditable) continue;
       node.focus({ preventScroll: true });
       if (document.activeElement === node) return;
@@ -47,9 +48,9 @@ const gestures = (() => {
   function press(target, x, y, detail = 1) {
     hover(target, x, y);
     held = { target, x, y, range: null, corner: null };
-    mouse(target, 'pointerdown', x, y, 1);
-    if (!mouse(target, 'mousedown', x, y, 1, true, detail)) return;
-    focusNear(target);
+    dispatchMouse(target, 'pointerdown', x, y, 1);
+    if (!dispatchMouse(target, 'mousedown', x, y, 1, true, detail)) return;
+    focusNearest(target);
     const box = target.getBoundingClientRect();
     if (target instanceof HTMLTextAreaElement && box.right - x < CORNER_PX && box.bottom - y < CORNER_PX) {
       held.corner = { width: box.width, height: box.height };
@@ -59,19 +60,19 @@ const gestures = (() => {
   function release(target, x, y, detail = 1) {
     const down = held;
     held = null;
-    mouse(target, 'pointerup', x, y, 0);
-    mouse(target, 'mouseup', x, y, 0, true, detail);
+    dispatchMouse(target, 'pointerup', x, y, 0);
+    dispatchMouse(target, 'mouseup', x, y, 0, true, detail);
     if (!down || !down.target.isConnected) return;
-    // What was pressed and what was let go share this much.
-    let both = down.target;
-    while (both && !both.contains(target)) both = both.parentElement;
-    if (both) mouse(both, 'click', x, y, 0, true, detail);
+    // The click goes to the nearest common ancestor of the pressed and the released element.
+    let common = down.target;
+    while (common && !common.contains(target)) common = common.parentElement;
+    if (common) dispatchMouse(common, 'click', x, y, 0, true, detail);
   }
 
   function click(target, x, y) {
     if (target.closest(':disabled')) return;
     if (target instanceof HTMLOptionElement) {
-      choose(target);
+      selectOption(target);
       return;
     }
     press(target, x, y);
@@ -83,38 +84,38 @@ const gestures = (() => {
     if (window.top.WOB_DONE_GLOBAL || !target.isConnected) return;
     press(target, x, y, 2);
     release(target, x, y, 2);
-    mouse(target, 'dblclick', x, y, 0, true, 2);
+    dispatchMouse(target, 'dblclick', x, y, 0, true, 2);
   }
 
-  function choose(option) {
+  function selectOption(option) {
     const select = option.closest('select');
     if (!select || option.closest(':disabled')) return;
     select.focus({ preventScroll: true });
-    if (select.multiple) option.selected = !option.selected;  // as WebDriver does: two can be chosen without a key
+    if (select.multiple) option.selected = !option.selected;  // as in WebDriver: no modifier key is needed to add one
     else select.selectedIndex = option.index;
     select.dispatchEvent(new Event('input', { bubbles: true }));
     select.dispatchEvent(new Event('change', { bubbles: true }));
-    mouse(option, 'click', 0, 0, 0);
+    dispatchMouse(option, 'click', 0, 0, 0);
   }
 
   // ---- with the button held
 
   function move(x, y) {
-    hover(under(x, y), x, y);
+    hover(elementAt(x, y), x, y);
     if (!held) return;
     if (held.corner) {
       held.target.style.width = `${held.corner.width + x - held.x}px`;
       held.target.style.height = `${held.corner.height + y - held.y}px`;
     } else {
-      select(x, y);
+      selectText(x, y);
     }
   }
 
-  // Text is selected from where the button went down, unless the page has a use of its own for the drag.
-  function select(x, y) {
+  // Select text from where the button was pressed, unless the page prevents it.
+  function selectText(x, y) {
     if (held.range === null) {
-      const begun = held.target.dispatchEvent(new Event('selectstart', { bubbles: true, cancelable: true }));
-      held.range = begun && getComputedStyle(held.target).userSelect !== 'none'
+      const allowed = held.target.dispatchEvent(new Event('selectstart', { bubbles: true, cancelable: true }));
+      held.range = allowed && getComputedStyle(held.target).userSelect !== 'none'
         && document.caretRangeFromPoint(held.x, held.y);
     }
     const end = held.range && held.range.startContainer.isConnected && document.caretRangeFromPoint(x, y);
@@ -126,24 +127,24 @@ const gestures = (() => {
   function drag(target, from, to) {
     press(target, from.x, from.y);
     for (let step = 1; step <= DRAG_MOVES; step += 1) {
-      const part = step / DRAG_MOVES;
-      move(from.x + part * (to.x - from.x), from.y + part * (to.y - from.y));
+      const fraction = step / DRAG_MOVES;
+      move(from.x + fraction * (to.x - from.x), from.y + fraction * (to.y - from.y));
     }
-    release(under(to.x, to.y), to.x, to.y);
+    release(elementAt(to.x, to.y), to.x, to.y);
   }
 
   function scroll(target, x, y, by) {
-    const turned = target.dispatchEvent(new WheelEvent('wheel', {
+    const notPrevented = target.dispatchEvent(new WheelEvent('wheel', {
       bubbles: true, cancelable: true, composed: true, view: window,
       clientX: x, clientY: y, deltaX: by.x, deltaY: by.y,
     }));
-    for (let node = turned ? target : null; node; node = node.parentElement) {
+    for (let node = notPrevented ? target : null; node; node = node.parentElement) {
       const { scrollLeft, scrollTop } = node;
       node.scrollBy({ left: by.x, top: by.y, behavior: 'instant' });
       if (node.scrollLeft !== scrollLeft || node.scrollTop !== scrollTop) {
-        // Chrome tells of it with the next frame, and a hidden tab has none.
-        const root = node === document.scrollingElement;
-        (root ? document : node).dispatchEvent(new Event('scroll', { bubbles: root }));
+        // Chrome fires the scroll event with the next frame, and a hidden tab has no frames.
+        const isRoot = node === document.scrollingElement;
+        (isRoot ? document : node).dispatchEvent(new Event('scroll', { bubbles: isRoot }));
         return;
       }
     }
@@ -151,50 +152,52 @@ const gestures = (() => {
 
   // ---- one action
 
-  const under = (x, y) => document.elementFromPoint(x, y) || document.body;
+  const elementAt = (x, y) => document.elementFromPoint(x, y) || document.body;
 
-  function middle(element, by) {
+  function offsetFromMiddle(element, by) {
     if (!element) return by;
     const box = element.getBoundingClientRect();
     return { x: box.left + box.width / 2 + by.x, y: box.top + box.height / 2 + by.y };
   }
 
-  const elementOf = (node) => (node && node.nodeType === 3 ? node.parentElement : node);  // bare text is acted on through
+  const elementOf = (node) => (node && node.nodeType === 3 ? node.parentElement : node);  // of a text node: its parent
 
-  // A node that is gone is an action in vain; null stands for the page itself.
+  // The page has removed the element of the action; undefined is an unknown ref, null means the page as a whole.
+  const isGone = (element) => element === undefined || (element !== null && !element.isConnected);
+
   function act({ verb, node, text, at, by, to }) {
     const element = elementOf(node), end = elementOf(to);
-    if (element === undefined || end === undefined) return;
-    if ((element && !element.isConnected) || (end && !end.isConnected)) return;
+    if (isGone(element) || isGone(end)) return;
     if (verb === PRESS) keyboard.press(element, text);
     else if (verb === ACTIVATE) activate(element, text);
     else if (verb === TYPE || verb === APPEND) type(element, text, verb === TYPE);
     else if (verb <= MOUSE_UP) point(verb, element, at, by, end);
   }
 
-  const FORMAL = new Set(['date', 'time', 'datetime-local', 'month', 'week', 'color', 'range']);
+  const FORMATTED = new Set(['date', 'time', 'datetime-local', 'month', 'week', 'color', 'range']);
 
-  // Where a mouse has to go for an action, brought into sight; null where no mouse or keyboard can do it.
+  // Scrolls an action's elements into view and returns [x, y, end x, end y] in CSS px; null if native input cannot
+  // perform it.
   function aim({ verb, node, at, by, to }) {
     const element = elementOf(node), end = elementOf(to);
-    if (element === undefined || end === undefined || verb === ACTIVATE || verb > ACTIVATE) return null;
-    if ((element && !element.isConnected) || (end && !end.isConnected)) return null;
-    // The list of a select is no part of the page, and what a date field wants typed depends on the country.
+    if (verb >= ACTIVATE || isGone(element) || isGone(end)) return null;
+    // The options of a select are not drawn in the page, and the keys for a date field depend on the locale.
     if (element instanceof HTMLOptionElement) return null;
-    if (element && FORMAL.has(element.type) && (verb === TYPE || verb === APPEND)) return null;
-    for (const one of [element, end]) if (one) one.scrollIntoView({ block: 'nearest', inline: 'nearest', behavior: 'instant' });
-    const from = middle(element, at);
-    const goal = end ? middle(end, by) : { x: from.x + by.x, y: from.y + by.y };
+    if (element && FORMATTED.has(element.type) && (verb === TYPE || verb === APPEND)) return null;
+    const intoView = { block: 'nearest', inline: 'nearest', behavior: 'instant' };
+    for (const one of [element, end]) if (one) one.scrollIntoView(intoView);
+    const from = offsetFromMiddle(element, at);
+    const goal = end ? offsetFromMiddle(end, by) : { x: from.x + by.x, y: from.y + by.y };
     return [from.x, from.y, goal.x, goal.y];
   }
 
   function point(verb, element, at, by, end) {
-    const { x, y } = middle(element, at);
-    const target = element && at.x === 0 && at.y === 0 ? element : under(x, y);
+    const { x, y } = offsetFromMiddle(element, at);
+    const target = element && at.x === 0 && at.y === 0 ? element : elementAt(x, y);
     if (verb === CLICK) click(target, x, y);
     else if (verb === DOUBLE_CLICK) doubleClick(target, x, y);
     else if (verb === SCROLL) scroll(target, x, y, by);
-    else if (verb === DRAG) drag(target, { x, y }, end ? middle(end, by) : { x: x + by.x, y: y + by.y });
+    else if (verb === DRAG) drag(target, { x, y }, end ? offsetFromMiddle(end, by) : { x: x + by.x, y: y + by.y });
     else if (verb === HOVER && held) move(x, y);
     else if (verb === HOVER) hover(target, x, y);
     else if (verb === MOUSE_DOWN) press(target, x, y);
@@ -217,22 +220,22 @@ const gestures = (() => {
 
   function type(element, text, clear) {
     if (element) {
-      const { x, y } = middle(element, { x: 0, y: 0 });
+      const { x, y } = offsetFromMiddle(element, { x: 0, y: 0 });
       click(element, x, y);
     }
     if (!window.top.WOB_DONE_GLOBAL) keyboard.type(element, text, clear);
   }
 
-  // The mouse leaves the page, and with it all that it held and hovered over.
-  function forget() {
+  // The mouse leaves the page.
+  function reset() {
     if (held) release(document.body, 0, 0);
     if (hovered && hovered.isConnected) {
-      mouse(hovered, 'mouseout', 0, 0, 0);
-      for (let node = hovered; node; node = node.parentElement) mouse(node, 'mouseleave', 0, 0, 0, false);
+      dispatchMouse(hovered, 'mouseout', 0, 0, 0);
+      for (let node = hovered; node; node = node.parentElement) dispatchMouse(node, 'mouseleave', 0, 0, 0, false);
     }
     hovered = null;
     getSelection().removeAllRanges();
   }
 
-  return { act, aim, click: (element) => click(element, 0, 0), forget };
+  return { act, aim, click: (element) => click(element, 0, 0), reset };
 })();

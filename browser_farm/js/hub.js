@@ -1,41 +1,45 @@
-// Runs in a page that opened the tabs of its process: one call from outside asks all of them, which costs as much as
-// asking one. What each said is kept, so that one that never answers does not take the others' words with it.
+// Runs in the page that opened the tabs of its process. One DevTools call to it asks all of them, at the cost of asking
+// one. The answers so far are kept, so a page that never returns does not lose those of the others.
 const hub = (() => {
   'use strict';
 
   const tabs = new Map();  // number -> window
-  let call = 0, said = [], asked = null, slowest = [0, null];
+  let call = 0, answers = [], current = null, slowest = [0, null];  // slowest: [ms, tab]
 
   function open(numbers) {
     for (const number of numbers) tabs.set(number, window.open('about:blank', String(number)));
   }
 
-  function answer(tab, words) {
+  function answerOf(tab, request) {
     try {
       const page = tabs.get(tab).giirl;
-      return page ? page.answer(words) : '"gone"';
+      return page ? page.answer(request) : '"gone"';
     } catch (error) {
-      // A page from elsewhere does not even say that it is one.
+      // DOMException: the tab has navigated to a page that this one may not access.
       return error instanceof DOMException ? '"gone"' : JSON.stringify({ error: String(error) });
     }
   }
 
-  function ask(number, questions) {
-    [call, said, slowest] = [number, [], [0, null]];
-    for (const [tab, words] of questions) {
-      asked = tab;
-      const since = performance.now();
-      said.push(`[${tab},${answer(tab, words)}]`);
-      const took = performance.now() - since;
-      if (took > slowest[0]) slowest = [took, tab];
+  // Ask each tab its request. Returns JSON: [[tab, answer], ...].
+  function ask(number, requests) {
+    [call, answers, slowest] = [number, [], [0, null]];
+    for (const [tab, request] of requests) {
+      current = tab;
+      const start = performance.now();
+      answers.push(`[${tab},${answerOf(tab, request)}]`);
+      const ms = performance.now() - start;
+      if (ms > slowest[0]) slowest = [ms, tab];
     }
-    asked = null;
-    return `[${said.join()}]`;
+    current = null;
+    return `[${answers.join()}]`;
   }
 
-  // What came of a call that was broken off: whose answer is missing or took longest, since a loop may end and its page
-  // go on; and the answers so far. Nothing if the call never began.
-  const told = (number) => (number === call ? `[${asked === null ? slowest[1] : asked},[${said.join()}]]` : '');
+  // After a call was interrupted: JSON of [tab, answers], with the tab that blocked it and the answers so far. That is
+  // the current tab; if the page's loop was interrupted and the call went on to its end, it is the slowest one. Returns
+  // '' if the call never began.
+  function status(number) {
+    return number === call ? `[${current === null ? slowest[1] : current},[${answers.join()}]]` : '';
+  }
 
-  return { open, ask, told };
+  return { open, ask, status };
 })();

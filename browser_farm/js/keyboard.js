@@ -1,15 +1,17 @@
-// What a person's keyboard does to a page: key events, and what a browser does of itself after each.
+// Keyboard actions: key events, and the browser's default action for each. Runs before gestures.js.
 const keyboard = (() => {
   'use strict';
 
   let clipboard = '';
 
-  const isField = (element) => element instanceof HTMLInputElement || element instanceof HTMLTextAreaElement;
-  const holdsText = (element) => isField(element) && !PRESSABLE.has(element.type) && !element.readOnly && !element.disabled;
   const PRESSABLE = new Set(['button', 'submit', 'reset', 'checkbox', 'radio', 'image', 'file', 'color', 'range']);
+  const isInput = (element) => element instanceof HTMLInputElement || element instanceof HTMLTextAreaElement;
+  const takesText = (element) => isInput(element) && !PRESSABLE.has(element.type)
+    && !element.readOnly && !element.disabled;
 
-  function tell(element, name, key, held = {}) {
-    const keyCode = name === 'keypress' ? (key === 'Enter' ? 13 : key.charCodeAt(0)) : KEY_CODES[key] || codeOf(key);
+  function dispatchKey(element, name, key, held = {}) {
+    const charCode = key === 'Enter' ? 13 : key.charCodeAt(0);
+    const keyCode = name === 'keypress' ? charCode : KEY_CODES[key] || codeOf(key);
     return element.dispatchEvent(new KeyboardEvent(name, {
       bubbles: true, cancelable: true, composed: true, view: window, key, keyCode, which: keyCode,
       charCode: name === 'keypress' ? keyCode : 0,
@@ -22,52 +24,53 @@ const keyboard = (() => {
 
   // ---- text
 
-  // The prototype's setter, because a page may have put its own on the element.
+  // The setter of the prototype, because a page may define its own on the element.
   const setters = new Map([HTMLTextAreaElement, HTMLInputElement].map((kind) =>
     [kind, Object.getOwnPropertyDescriptor(kind.prototype, 'value').set]));
 
-  function write(field, text, inputType, data) {
+  function setValue(field, text, inputType, data) {
     setters.get(field instanceof HTMLTextAreaElement ? HTMLTextAreaElement : HTMLInputElement).call(field, text);
     field.dispatchEvent(new InputEvent('input', { bubbles: true, composed: true, inputType, data }));
   }
 
-  // Some inputs (number, email) do not say where their caret is: there it is at the end.
-  function caret(field) {
+  // [start, end] of the selection. Some inputs (number, email) do not expose it; it is taken to be at the end.
+  function selectionOf(field) {
     const end = field.value.length;
     return field.selectionStart === null ? [end, end] : [field.selectionStart, field.selectionEnd];
   }
 
-  function place(field, offset, anchor = offset) {
+  function setSelection(field, offset, anchor = offset) {
     if (field.selectionStart !== null) field.setSelectionRange(Math.min(offset, anchor), Math.max(offset, anchor));
   }
 
-  function replace(field, start, end, text, inputType) {
-    partial = null;
-    write(field, field.value.slice(0, start) + text + field.value.slice(end), inputType, text || null);
-    place(field, start + text.length);
+  function replaceRange(field, start, end, text, inputType) {
+    unfinished = null;
+    setValue(field, field.value.slice(0, start) + text + field.value.slice(end), inputType, text || null);
+    setSelection(field, start + text.length);
   }
 
-  // A number half typed ("-") is one that the field does not hold yet: {field, text}.
-  let partial = null;
+  // An unfinished number ("-"), which the field does not report as its value yet: {field, text}.
+  let unfinished = null;
 
   function insert(element, text) {
     if (element.isContentEditable) {
       document.execCommand('insertText', false, text);
-    } else if (holdsText(element) && element.selectionStart === null) {
-      partial = { field: element, text: (partial && partial.field === element ? partial.text : element.value) + text };
-      write(element, partial.text, 'insertText', text);
-    } else if (holdsText(element)) {
-      const [start, end] = caret(element);
+    } else if (takesText(element) && element.selectionStart === null) {
+      const before = unfinished && unfinished.field === element ? unfinished.text : element.value;
+      unfinished = { field: element, text: before + text };
+      setValue(element, unfinished.text, 'insertText', text);
+    } else if (takesText(element)) {
+      const [start, end] = selectionOf(element);
       const room = element.maxLength < 0 ? Infinity : element.maxLength - element.value.length + end - start;
-      replace(element, start, end, text.slice(0, Math.max(room, 0)), 'insertText');
+      replaceRange(element, start, end, text.slice(0, Math.max(room, 0)), 'insertText');
     }
   }
 
-  // Dates and the like take a whole value and refuse every beginning of one.
-  const WHOLE = new Set(['date', 'time', 'datetime-local', 'month', 'week', 'color', 'range']);
+  // Date fields and the like accept only a complete value.
+  const FORMATTED = new Set(['date', 'time', 'datetime-local', 'month', 'week', 'color', 'range']);
 
-  // What a person types into a date or time field ("02/08/2019", "7:16 PM"), as the field keeps it.
-  function kept(field, text) {
+  // The value of a date or time field for what a person types into it ("02/08/2019", "7:16 PM").
+  function toFieldValue(field, text) {
     const date = field.type === 'date' && /^\s*(\d{1,2})\/(\d{1,2})\/(\d{4})\s*$/.exec(text);
     if (date) return `${date[3]}-${date[1].padStart(2, '0')}-${date[2].padStart(2, '0')}`;
     const time = field.type === 'time' && /^\s*(\d{1,2}):(\d{2})(?:\s*([AP])M)?\s*$/i.exec(text);
@@ -76,71 +79,74 @@ const keyboard = (() => {
     return `${String(hour).padStart(2, '0')}:${time[2]}`;
   }
 
+  // Type into an element, or where the focus is if it is null. `clear` deletes the old text first.
   function type(element, text, clear) {
     let field = element || document.activeElement || document.body;
-    if (element && isField(element) && document.activeElement !== element) element.focus({ preventScroll: true });
-    if (element && !isField(element)) field = document.activeElement || document.body;
+    if (element && isInput(element) && document.activeElement !== element) element.focus({ preventScroll: true });
+    if (element && !isInput(element)) field = document.activeElement || document.body;
     if (element && !field.isConnected) return;
-    if (isField(field) && WHOLE.has(field.type)) {
+    if (isInput(field) && FORMATTED.has(field.type)) {
       if (field.readOnly || field.disabled) return;
-      write(field, kept(field, text), 'insertText', text);
-    } else if (!element || holdsText(field) || field.isContentEditable) {
-      if (holdsText(field) && (clear || element)) {
-        partial = null;
-        if (clear && field.value !== '') write(field, '', 'deleteContentBackward', null);
-        place(field, field.value.length);
+      setValue(field, toFieldValue(field, text), 'insertText', text);
+    } else if (!element || takesText(field) || field.isContentEditable) {
+      if (takesText(field) && (clear || element)) {
+        unfinished = null;
+        if (clear && field.value !== '') setValue(field, '', 'deleteContentBackward', null);
+        setSelection(field, field.value.length);
       }
       for (const character of text) {
-        stroke(field, character);
+        typeCharacter(field, character);
         if (!element) field = document.activeElement || document.body;
       }
     } else {
       return;
     }
-    if (isField(field)) field.dispatchEvent(new Event('change', { bubbles: true }));
+    if (isInput(field)) field.dispatchEvent(new Event('change', { bubbles: true }));
   }
 
-  function stroke(field, character) {
+  function typeCharacter(field, character) {
     const key = character === '\n' ? 'Enter' : character;
-    if (tell(field, 'keydown', key) && tell(field, 'keypress', key)) {
-      if (key === 'Enter') enter(field);
+    if (dispatchKey(field, 'keydown', key) && dispatchKey(field, 'keypress', key)) {
+      if (key === 'Enter') pressEnter(field);
       else insert(field, character);
     }
-    tell(field, 'keyup', key);
+    dispatchKey(field, 'keyup', key);
   }
 
   // ---- keys
 
+  // Press a chord ("Control+a"), on an element, or where the focus is if it is null.
   function press(element, chord) {
-    const cut = chord.lastIndexOf('+', chord.length - 2);
+    const cut = chord.lastIndexOf('+', chord.length - 2);  // the last character may be a plus itself
     const key = chord.slice(cut + 1);
     const held = Object.fromEntries(cut > 0 ? chord.slice(0, cut).split('+').map((name) => [name, true]) : []);
     if (element && document.activeElement !== element) element.focus({ preventScroll: true });
     const target = document.activeElement || document.body;
-    for (const name of Object.keys(held)) tell(target, 'keydown', name, held);
-    const command = held.Control || held.Alt || held.Meta;
-    const typed = !command && (key.length === 1 || key === 'Enter');
-    if (tell(target, 'keydown', key, held) && (!typed || tell(target, 'keypress', key, held))) {
-      if (command) shortcut(target, key.toLowerCase());
-      else if (key.length === 1) character(target, key);
-      else if (key in KEYS) KEYS[key](target, Boolean(held.Shift));
+    for (const name of Object.keys(held)) dispatchKey(target, 'keydown', name, held);
+    const isCommand = held.Control || held.Alt || held.Meta;
+    const typesText = !isCommand && (key.length === 1 || key === 'Enter');
+    if (dispatchKey(target, 'keydown', key, held) && (!typesText || dispatchKey(target, 'keypress', key, held))) {
+      if (isCommand) runShortcut(target, key.toLowerCase());
+      else if (key.length === 1) pressCharacter(target, key);
+      else if (key in DEFAULT_ACTIONS) DEFAULT_ACTIONS[key](target, Boolean(held.Shift));
     }
-    const now = document.activeElement || document.body;
-    tell(now, 'keyup', key, held);
-    for (const name of Object.keys(held)) tell(now, 'keyup', name);
+    const focused = document.activeElement || document.body;
+    dispatchKey(focused, 'keyup', key, held);
+    for (const name of Object.keys(held)) dispatchKey(focused, 'keyup', name);
   }
 
-  const isPressed = (element) => element instanceof HTMLButtonElement || (isField(element) && PRESSABLE.has(element.type));
+  const isPressable = (element) => element instanceof HTMLButtonElement
+    || (isInput(element) && PRESSABLE.has(element.type));
 
-  function character(target, key) {
-    if (key === ' ' && isPressed(target)) gestures.click(target);
+  function pressCharacter(target, key) {
+    if (key === ' ' && isPressable(target)) gestures.click(target);
     else insert(target, key);
   }
 
-  function enter(target) {
+  function pressEnter(target) {
     if (target instanceof HTMLTextAreaElement) insert(target, '\n');
-    else if (isPressed(target) || target instanceof HTMLAnchorElement) gestures.click(target);
-    else if (isField(target)) {
+    else if (isPressable(target) || target instanceof HTMLAnchorElement) gestures.click(target);
+    else if (isInput(target)) {
       target.dispatchEvent(new Event('change', { bubbles: true }));
       if (target.form) {
         const button = target.form.querySelector('[type=submit], button:not([type])');
@@ -150,25 +156,26 @@ const keyboard = (() => {
     } else if (target.isContentEditable) document.execCommand('insertParagraph');
   }
 
-  function erase(target, back) {
-    if (target.isContentEditable) document.execCommand(back ? 'delete' : 'forwardDelete');
-    if (!holdsText(target)) return;
-    let [start, end] = caret(target);
-    if (start === end && back) start = Math.max(0, start - 1);
+  function erase(target, backward) {
+    if (target.isContentEditable) document.execCommand(backward ? 'delete' : 'forwardDelete');
+    if (!takesText(target)) return;
+    let [start, end] = selectionOf(target);
+    if (start === end && backward) start = Math.max(0, start - 1);
     else if (start === end) end = Math.min(target.value.length, end + 1);
-    if (start < end) replace(target, start, end, '', back ? 'deleteContentBackward' : 'deleteContentForward');
+    const inputType = backward ? 'deleteContentBackward' : 'deleteContentForward';
+    if (start < end) replaceRange(target, start, end, '', inputType);
   }
 
-  function tab(target, back) {
-    const all = [...document.querySelectorAll('a[href], button, input, select, textarea, [tabindex]')]
+  function moveFocus(target, backward) {
+    const focusable = [...document.querySelectorAll('a[href], button, input, select, textarea, [tabindex]')]
       .filter((element) => !element.disabled && element.tabIndex >= 0 && element.getClientRects().length > 0);
-    if (all.length === 0) return;
-    const next = all.indexOf(target) + (back ? -1 : 1);
-    all[(Math.max(next, back ? -1 : 0) + all.length) % all.length].focus();
+    if (focusable.length === 0) return;
+    const next = focusable.indexOf(target) + (backward ? -1 : 1);
+    focusable[(Math.max(next, backward ? -1 : 0) + focusable.length) % focusable.length].focus();
   }
 
-  // Arrows move through a list or a group of radio buttons, the caret of a field, or the page.
-  function go(target, [dx, dy], extend) {
+  // Arrow keys move through a list or a group of radio buttons, or move the caret of a field, or scroll.
+  function pressArrow(target, [dx, dy], extend) {
     if (target instanceof HTMLSelectElement) {
       const index = Math.min(Math.max(target.selectedIndex + dx + dy, 0), target.options.length - 1);
       if (index === target.selectedIndex) return;
@@ -183,18 +190,19 @@ const keyboard = (() => {
       if (dy < 0) target.stepUp();
       else target.stepDown();
       for (const name of ['input', 'change']) target.dispatchEvent(new Event(name, { bubbles: true }));
-    } else if (isField(target) && target.selectionStart !== null && dx) {
-      const [start, end] = caret(target);
-      if (extend) place(target, dx < 0 ? Math.max(0, start - 1) : start, dx < 0 ? end : end + 1);
-      else place(target, start !== end ? (dx < 0 ? start : end) : Math.max(0, start + dx));
+    } else if (isInput(target) && target.selectionStart !== null && dx) {
+      const [start, end] = selectionOf(target);
+      if (extend) setSelection(target, dx < 0 ? Math.max(0, start - 1) : start, dx < 0 ? end : end + 1);
+      else setSelection(target, start !== end ? (dx < 0 ? start : end) : Math.max(0, start + dx));
     } else {
-      scrollBy(target, dx * LINE_PX, dy * LINE_PX);
+      scrollNearest(target, dx * LINE_PX, dy * LINE_PX);
     }
   }
 
   const LINE_PX = 40;
 
-  function scrollBy(target, left, top) {
+  // Scroll the nearest ancestor that can scroll.
+  function scrollNearest(target, left, top) {
     for (let node = target; node; node = node.parentElement) {
       const { scrollLeft, scrollTop } = node;
       node.scrollBy({ left, top, behavior: 'instant' });
@@ -204,55 +212,63 @@ const keyboard = (() => {
     }
   }
 
-  function edge(target, back, extend) {
-    if (isField(target) && target.selectionStart !== null) {
-      const [start, end] = caret(target), goal = back ? 0 : target.value.length;
-      place(target, goal, extend ? (back ? end : start) : goal);
+  function moveToEdge(target, toStart, extend) {
+    if (isInput(target) && target.selectionStart !== null) {
+      const [start, end] = selectionOf(target), edge = toStart ? 0 : target.value.length;
+      setSelection(target, edge, extend ? (toStart ? end : start) : edge);
     } else {
-      scrollBy(target, 0, back ? -1e6 : 1e6);
+      scrollNearest(target, 0, toStart ? -1e6 : 1e6);
     }
   }
 
-  const page = (target) => 0.875 * (target.clientHeight || innerHeight);
+  const pageHeight = (target) => 0.875 * (target.clientHeight || innerHeight);
 
-  const KEYS = {
-    Enter: enter,
+  const DEFAULT_ACTIONS = {
+    Enter: pressEnter,
     Backspace: (target) => erase(target, true),
     Delete: (target) => erase(target, false),
-    Tab: tab,
-    ArrowLeft: (target, extend) => go(target, [-1, 0], extend),
-    ArrowRight: (target, extend) => go(target, [1, 0], extend),
-    ArrowUp: (target, extend) => go(target, [0, -1], extend),
-    ArrowDown: (target, extend) => go(target, [0, 1], extend),
-    Home: (target, extend) => edge(target, true, extend),
-    End: (target, extend) => edge(target, false, extend),
-    PageUp: (target) => scrollBy(target, 0, -page(target)),
-    PageDown: (target) => scrollBy(target, 0, page(target)),
+    Tab: moveFocus,
+    ArrowLeft: (target, extend) => pressArrow(target, [-1, 0], extend),
+    ArrowRight: (target, extend) => pressArrow(target, [1, 0], extend),
+    ArrowUp: (target, extend) => pressArrow(target, [0, -1], extend),
+    ArrowDown: (target, extend) => pressArrow(target, [0, 1], extend),
+    Home: (target, extend) => moveToEdge(target, true, extend),
+    End: (target, extend) => moveToEdge(target, false, extend),
+    PageUp: (target) => scrollNearest(target, 0, -pageHeight(target)),
+    PageDown: (target) => scrollNearest(target, 0, pageHeight(target)),
   };
 
   // ---- chords
 
-  function selected(target) {
-    if (!isField(target) || target.selectionStart === null) return String(getSelection());
+  function selectedText(target) {
+    if (!isInput(target) || target.selectionStart === null) return String(getSelection());
     return target.value.slice(target.selectionStart, target.selectionEnd);
   }
 
-  function shortcut(target, key) {
+  // False if the page prevents it.
+  function dispatchClipboard(target, name, clipboardData) {
+    return target.dispatchEvent(new ClipboardEvent(name, { bubbles: true, cancelable: true, clipboardData }));
+  }
+
+  function runShortcut(target, key) {
     if (key === 'a') {
-      if (isField(target)) target.select();
+      if (isInput(target)) target.select();
       else getSelection().selectAllChildren(target.isContentEditable ? target : document.body);
     } else if (key === 'c' || key === 'x') {
-      const told = target.dispatchEvent(new ClipboardEvent(key === 'c' ? 'copy' : 'cut', { bubbles: true, cancelable: true }));
-      if (!told) return;
-      clipboard = selected(target) || clipboard;
+      if (!dispatchClipboard(target, key === 'c' ? 'copy' : 'cut', null)) return;
+      clipboard = selectedText(target) || clipboard;
       if (key === 'x') erase(target, true);
     } else if (key === 'v') {
       const clipboardData = new DataTransfer();
       clipboardData.setData('text/plain', clipboard);
-      const told = target.dispatchEvent(new ClipboardEvent('paste', { bubbles: true, cancelable: true, clipboardData }));
-      if (told) insert(target, clipboard);
+      if (dispatchClipboard(target, 'paste', clipboardData)) insert(target, clipboard);
     }
   }
 
-  return { press, type, forget: () => { clipboard = ''; partial = null; } };
+  function reset() {
+    clipboard = '';
+    unfinished = null;
+  }
+
+  return { press, type, reset };
 })();

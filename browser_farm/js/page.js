@@ -1,20 +1,20 @@
-// What runs inside every task page: opens episodes, acts like a browser would, and reads the page as columns.
+// Runs in every task page: opens episodes, performs actions and returns the page as columns.
 (() => {
   'use strict';
   if (window !== window.top) return;
 
-  const FOREVER_MS = 2147483647;  // the longest a timer may wait; the step limit is the farm's
-  const IMAGES_MS = 20000;  // what does not load fails at once: this is for a machine that is busy
-  const WHEEL_MS = 3000, FRAME_MS = 200;  // how long to wait for each
-  const OPENING_MS = 100;  // of the page's time before it is first seen: what it draws, it draws with the next frame
-  const WAIT = '"wait"', GONE = '"gone"';
+  const NO_LIMIT_MS = 2147483647;  // for the page's own time limit: the longest timeout; the farm limits the steps
+  const LOADING_MS = 20000;        // files that are missing fail at once, so this is for a slow machine
+  const WHEEL_MS = 3000, FRAME_MS = 200;  // the longest wait for a wheel event, and for a frame
+  const OPENING_MS = 100;  // virtual time before the first observation: pages draw with their next animation frame
+  const WAIT = '"wait"', GONE = '"gone"';  // as in pages.py
 
   let open = false;            // an episode was started in this document
 
-  const { setTimeout } = clock.native;  // for what the page itself has to load
+  const { setTimeout } = clock.native;  // real time, for what the page has to load
 
-  // The flight tasks show the site of an airline in a frame; null when that has left for somewhere else.
-  function shown() {
+  // The frame that shows the task. For a flight task that is an iframe; null when it has navigated to another site.
+  function taskFrame() {
     const wrap = document.getElementById('wrap');
     if (!(wrap instanceof HTMLIFrameElement)) return frame;
     try {
@@ -24,140 +24,147 @@
     }
   }
 
-  let quiet = false;
+  let extrasRemoved = false;
 
-  function hush() {
-    // Counters and drawings beside the task cost layout time, and the page's own limit is wall-clock time.
-    if (quiet) return;
-    quiet = true;
+  function removeExtras() {
+    // Counters and drawings around the task cost layout time, and the page's own time limit is in real time.
+    if (extrasRemoved) return;
+    extrasRemoved = true;
     const nothing = () => {};
     document.body.removeEventListener('click', core.canvasDrawClick);
     if (core.cover_div) core.cover_div.remove();
     core.cover_div = { style: {} };
     for (const name of ['canvasDrawClick', 'canvasDrawElementClick', 'canvasClear', 'updateDisplay',
       'reloadDisplay', 'countdownTimer', 'clearTimer', 'startEpisode']) core[name] = nothing;
-    Object.defineProperty(core, 'EPISODE_MAX_TIME', { get: () => FOREVER_MS, set: nothing });
+    Object.defineProperty(core, 'EPISODE_MAX_TIME', { get: () => NO_LIMIT_MS, set: nothing });
     const display = document.getElementById('reward-display');
     if (display) display.style.display = 'none';
-    frame.calm();
+    frame.disableAnimations();
   }
 
   function utterance() {
-    const said = core.getUtterance();
-    return reading.flat(String(typeof said === 'object' && said !== null ? said.utterance : said));
+    const value = core.getUtterance();
+    return reading.collapse(String(typeof value === 'object' && value !== null ? value.utterance : value));
   }
 
+  // Start an episode. Returns null if its page is complete, else a promise that resolves when it is.
   function start([seed, mode]) {
-    hush();
-    frame.forget();
+    removeExtras();
+    frame.reset();
     core.setDataMode(mode);
     Math.seedrandom(seed);
     const mark = clock.mark();
     core.startEpisodeReal();
     clock.pass(OPENING_MS, mark);
     open = true;
-    const waiting = [...document.images].filter((image) => !image.complete);
-    if (waiting.length === 0 && WOB_TASK_READY) return null;
-    return Promise.race([settled(waiting), new Promise((go) => setTimeout(go, IMAGES_MS))]);
+    const loading = [...document.images].filter((image) => !image.complete);
+    if (loading.length === 0 && WOB_TASK_READY) return null;
+    return Promise.race([loaded(loading), new Promise((resolve) => setTimeout(resolve, LOADING_MS))]);
   }
 
-  async function settled(images) {
-    await Promise.all(images.map((image) => image.complete || new Promise((go) => {
-      image.addEventListener('load', go);
-      image.addEventListener('error', go);
+  async function loaded(images) {
+    await Promise.all(images.map((image) => image.complete || new Promise((resolve) => {
+      image.addEventListener('load', resolve);
+      image.addEventListener('error', resolve);
     })));
     while (!WOB_TASK_READY) {
-      await new Promise((go) => setTimeout(go, 10));
-      const loading = shown();
-      if (loading) {
-        loading.calm();
-        loading.clock.pass(10, 0);
+      await new Promise((resolve) => setTimeout(resolve, 10));
+      const task = taskFrame();
+      if (task) {
+        task.disableAnimations();
+        task.clock.pass(10, 0);
       }
     }
   }
 
-  let waited = null;  // the answer that step() could not give at once
+  // ---- answers, all of them JSON: [reward, done, columns, utterance, reason], see pages.decode
 
-  function opened(next, reward, done, ...reason) {
-    const reply = () => JSON.stringify([reward, done, (shown() || frame).walk(), utterance(), ...reason]);
-    const wait = start(next);
-    if (wait === null) return reply();
-    waited = wait.then(reply);
-    return WAIT;  // asking Chrome to wait for every answer would cost each step a third more
+  let pending = null;  // promise of the answer that could not be given at once
+
+  function openEpisode(next, reward, done, ...reason) {
+    const answerNow = () => JSON.stringify([reward, done, (taskFrame() || frame).walk(), utterance(), ...reason]);
+    const complete = start(next);
+    if (complete === null) return answerNow();
+    pending = complete.then(answerNow);
+    return WAIT;  // if every call awaited a promise, each step would take a third longer
   }
 
-  // next is null when no episode of this task follows.
+  // `next` is [seed, mode] of the next episode, null if none follows in this document.
   function step(action, last, next) {
     if (!open) return GONE;
-    const site = shown();
-    if (site) site.act(action);
-    else core.endEpisode(-1, false, 'navigated away');  // what the page itself says of it, where it can
+    const task = taskFrame();
+    if (task) task.act(action);
+    else core.endEpisode(-1, false, 'navigated away');  // as the page does when it notices
     const done = WOB_DONE_GLOBAL === true;
     const reward = done ? Number(WOB_RAW_REWARD_GLOBAL) || 0 : 0;
     const reason = done && WOB_REWARD_REASON ? [String(WOB_REWARD_REASON)] : [];
-    if (!done && !last) return JSON.stringify([reward, done, (shown() || frame).walk(), null]);
+    if (!done && !last) return JSON.stringify([reward, done, (taskFrame() || frame).walk(), null]);
     open = false;
-    return next === null ? JSON.stringify([reward, done, null, null, ...reason]) : opened(next, reward, done, ...reason);
+    if (next === null) return JSON.stringify([reward, done, null, null, ...reason]);
+    return openEpisode(next, reward, done, ...reason);
   }
 
-  // For trusted input: where to send it, before a step that only waits.
+  // The coordinates for trusted input, which the farm sends before a step that only waits.
   function aim(action) {
-    const site = shown();
-    return open ? JSON.stringify(site ? site.aim(action) : null) : GONE;
+    const task = taskFrame();
+    return open ? JSON.stringify(task ? task.aim(action) : null) : GONE;
   }
 
-  // Chrome hands on a turn of the wheel when it is ready to, and moves the page with one of the frames that follow.
-  async function drawn() {
-    const site = shown(), wait = (ms) => new Promise((go) => setTimeout(go, ms));
-    for (let ms = 0; ms < WHEEL_MS && site && !site.turned(); ms += 10) await wait(10);
-    for (let frame = 0; frame < 3; frame += 1) {
-      await Promise.race([new Promise((go) => clock.native.requestAnimationFrame(go)), wait(FRAME_MS)]);
+  // Resolves after Chrome has dispatched a trusted wheel event, which it delays, and drawn the frames that scroll.
+  async function scrollDrawn() {
+    const task = taskFrame(), wait = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
+    for (let ms = 0; ms < WHEEL_MS && task && !task.wheelTurned(); ms += 10) await wait(10);
+    for (let count = 0; count < 3; count += 1) {
+      await Promise.race([new Promise((resolve) => clock.native.requestAnimationFrame(resolve)), wait(FRAME_MS)]);
     }
     return '';
   }
 
-  let icons = null;  // held so that they stay in memory
+  let icons = null;  // kept, so that the images stay in memory
 
-  // An icon of a style sheet has no size until it is loaded, and it loads only where it is first shown.
+  // An icon of a style sheet has no size before it is loaded, and is loaded only when it is first drawn.
   function loadIcons() {
     const urls = new Set();
-    const gather = (rules, address) => {
+    const addUrls = (rules, base) => {
       for (const rule of rules) {
-        if (rule.cssRules) gather(rule.cssRules, address);
-        for (const [, url] of rule.cssText.matchAll(/url\("([^"]+)"\)/g)) urls.add(new URL(url, address).href);
+        if (rule.cssRules) addUrls(rule.cssRules, base);
+        for (const [, url] of rule.cssText.matchAll(/url\("([^"]+)"\)/g)) urls.add(new URL(url, base).href);
       }
     };
-    for (const sheet of document.styleSheets) gather(sheet.cssRules, sheet.href || document.baseURI);
+    for (const sheet of document.styleSheets) addUrls(sheet.cssRules, sheet.href || document.baseURI);
     icons = [...urls].map((url) => {
-      const image = Object.assign(new Image(), { src: url }), shown = document.createElement('giirl-icon');
-      shown.style.cssText = `position: fixed; left: -9999px; content: url("${url}")`;
-      document.documentElement.append(shown);  // beside the body, where nobody looks
-      return { image, shown };
+      const image = Object.assign(new Image(), { src: url }), element = document.createElement('giirl-icon');
+      element.style.cssText = `position: fixed; left: -9999px; content: url("${url}")`;
+      document.documentElement.append(element);  // outside the body, which is read
+      return { image, element };
     });
-    return Promise.race([shownIcons(), new Promise((go) => setTimeout(go, IMAGES_MS))]);
+    return Promise.race([iconsDrawn(), new Promise((resolve) => setTimeout(resolve, LOADING_MS))]);
   }
 
-  // Loaded is not yet shown: what another tab has loaded is there at once, and has its size a moment later.
-  async function shownIcons() {
-    await settled(icons.map(({ image }) => image));
-    for (const { image, shown } of icons) {
-      while (image.naturalWidth > 0 && shown.getBoundingClientRect().width === 0) {
-        await new Promise((go) => setTimeout(go, 5));
+  // An image that another tab has loaded is complete at once, but gets its size a moment later.
+  async function iconsDrawn() {
+    await loaded(icons.map(({ image }) => image));
+    for (const { image, element } of icons) {
+      while (image.naturalWidth > 0 && element.getBoundingClientRect().width === 0) {
+        await new Promise((resolve) => setTimeout(resolve, 5));
       }
     }
   }
 
+  // Open the first episode of a new document, or another one without a step.
   function begin(next) {
-    if (icons !== null) return opened(next, 0, false);
-    const load = document.readyState === 'complete' ? Promise.resolve()
-      : new Promise((go) => window.addEventListener('load', () => setTimeout(go)));
-    waited = load.then(loadIcons).then(() => opened(next, 0, false))
-      .then((reply) => (reply === WAIT ? waited : reply));
+    if (icons !== null) return openEpisode(next, 0, false);
+    const documentLoaded = document.readyState === 'complete' ? Promise.resolve()
+      : new Promise((resolve) => window.addEventListener('load', () => setTimeout(resolve)));
+    pending = documentLoaded.then(loadIcons).then(() => openEpisode(next, 0, false))
+      .then((reply) => (reply === WAIT ? pending : reply));
     return WAIT;
   }
 
-  // All answers are JSON.
-  const answer = (words) => [begin, aim, step][words.length - 1](...words);
+  // The requests of pages.py differ in their length: start_call has 1 entry, aim_call 2, step_call 3.
+  const answer = (request) => [begin, aim, step][request.length - 1](...request);
 
-  Object.defineProperty(window, 'giirl', { value: { answer, isOpen: () => open, drawn, later: () => waited } });
+  Object.defineProperty(window, 'giirl', {
+    value: { answer, isOpen: () => open, scrollDrawn, pendingAnswer: () => pending },
+  });
 })();

@@ -1,8 +1,9 @@
-"""Does the reward read the instruction? What experts do, scored under their own goals and under others."""
+"""Whether the reward reads the instruction: expert actions scored under their own goals and under other goals."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from actors.agents import ExpertAgent
 from actors.browser import open_browser
-from actors.rollouts import Schedule, play
+from actors.rollouts import play_pages
 from browser_farm.experts import expert
 from giirl.statistics import goal_sensitivity
 from giirl_core.config import Config
@@ -18,12 +19,13 @@ from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
 from giirl_core.nets.reward import RewardModel, build_reward
 from giirl_core.progress import Display
-from giirl_core.types import Action, Goal, Page, Purpose, Trajectory, Verb, Weights
+from giirl_core.types import Action, Goal, Page, Purpose, Trajectory, Verb
+from giirl_core.weights import Weights
 
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """One expert (s, a) under its goal."""
+    """One expert (s, a) with its goal."""
 
     page: Page
     action: Action
@@ -31,20 +33,19 @@ class Pair:
 
 
 def sensitivity(config: Config, reward: Weights, pages: int, metrics: Metrics, display: Display) -> dict[str, Any]:
-    """Per task, how often r(s, a | g) is above r(s, a | g'), with g' the goal of another fresh page of the task.
+    """Per task, the fraction of expert steps with r(s, a | g) > r(s, a | g'), g' the goal of another fresh page.
 
-    That is an AUC of pairs: each step is compared with itself. Only steps whose meaning depends on the goal count:
-    pressing Submit is right whatever is asked for. `shuffled` controls the measure: both goals are others', so that
-    nothing but chance is left. Where goals were held out of the run's training, `trained_goals` and
-    `held_out_goals` tell of either kind by itself, with others of that kind as g'.
+    This is a paired AUC: each step is compared with itself. Only steps that depend on the goal count; pressing Submit
+    is right under every goal. `shuffled` is the control: both goals belong to other pages, so 0.5 is expected. If goals
+    were held out of training, `trained_goals` and `held_out_goals` give the same numbers for each group of goals alone.
     """
     model = build_reward(config, reward)
     found: dict[str, Any] = {}
-    shown = _fresh(config, pages, metrics, display)
+    trajectories = _play_expert(config, pages, metrics, display)
     for task in config.tasks:
-        pairs = [pair for trajectory in shown if trajectory.task == task for pair in _telling(trajectory)]
+        pairs = [pair for trajectory in trajectories if trajectory.task == task for pair in _goal_steps(trajectory)]
         if len({pair.goal for pair in pairs}) < 2:
-            continue  # one instruction for all pages says nothing about goals
+            continue  # every page has the same instruction: there is no other goal to compare with
         found[task] = _measure(model, pairs, config.seed)
         for group, held_out in (("trained_goals", False), ("held_out_goals", True)) if config.held_out_goals else ():
             part = [pair for pair in pairs if is_held_out(pair.goal, config.held_out_goals) is held_out]
@@ -53,24 +54,19 @@ def sensitivity(config: Config, reward: Weights, pages: int, metrics: Metrics, d
     return found
 
 
-def _fresh(config: Config, pages: int, metrics: Metrics, display: Display) -> list[Trajectory]:
-    """What scripted experts do on pages that no training or evaluation uses."""
-    browser = open_browser(config, metrics)
-    schedule = Schedule(config.tasks, browser.tabs, purpose=Purpose.INSPECT, run_seed=config.seed, quota=pages)
-    played: list[Trajectory] = []
-    try:
-        with display.job("fresh expert pages", pages * len(config.tasks)) as job:
-            rounds = play(browser, ExpertAgent(expert), schedule, step_limit=config.step_limit, metrics=metrics)
-            for finished in rounds:
-                played += [episode.trajectory for episode in finished if episode.outcome.success]
-                job.advance(len(finished))
-    finally:
-        browser.close()
-    return sorted(played, key=lambda trajectory: trajectory.seed)
+def _play_expert(config: Config, pages: int, metrics: Metrics, display: Display) -> list[Trajectory]:
+    """Successful episodes of the scripted experts on pages that training and evaluation never use."""
+    with (
+        closing(open_browser(config, metrics)) as browser,
+        display.job("playing expert pages", pages * len(config.tasks)) as job,
+    ):
+        played = play_pages(config, browser, ExpertAgent(expert), Purpose.INSPECT, pages, metrics, job=job)
+    won = [episode.trajectory for episode in played if episode.outcome.success]
+    return sorted(won, key=lambda trajectory: trajectory.seed)
 
 
-def _telling(trajectory: Trajectory) -> list[Pair]:
-    """The steps that another goal would make wrong: typing, and clicks on what the goal names."""
+def _goal_steps(trajectory: Trajectory) -> list[Pair]:
+    """The steps that another goal would make wrong: typing, and clicks on an element that the goal names."""
     return [
         Pair(page, action, trajectory.goal)
         for page, action in zip(trajectory.pages, trajectory.actions, strict=True)
@@ -91,7 +87,7 @@ def _measure(model: RewardModel, pairs: Sequence[Pair], seed: int) -> dict[str, 
 
 
 def _another(goal: Goal, pairs: Sequence[Pair], rng: np.random.Generator) -> Goal:
-    """Some page's goal that is not this one."""
+    """A goal of another page that differs from this one."""
     others = [pair.goal for pair in pairs if pair.goal != goal]
     return others[rng.integers(len(others))]
 

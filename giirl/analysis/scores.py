@@ -1,4 +1,4 @@
-"""A learned reward on its own: the episodes of a file scored, or a service that scores whatever it is sent."""
+"""A learned reward by itself: scoring the episodes of a file, and serving the reward on a port."""
 
 from __future__ import annotations
 
@@ -13,21 +13,25 @@ from rich.table import Table
 from giirl.signals import stopping
 from giirl_core.config import Config
 from giirl_core.nets.reward import build_reward
-from giirl_core.types import Episode, Weights
+from giirl_core.types import Episode
+from giirl_core.weights import Weights
 from giirl_core.wire.messages import read_episodes
 from reward_service.service import RewardService
 
-AT_ONCE = 64  # episodes in one batch
+BATCH = 64  # episodes in one batch
 
 
 def score_file(config: Config, reward: Weights, file: Path) -> dict[str, Any]:
-    """The reward of every step of every episode in a demonstration file, beside whether the episode succeeded."""
+    """The reward of every step in a demonstration file, with the outcome of each episode.
+
+    ValueError for actions that the nets cannot represent.
+    """
     episodes = read_episodes(file)
     trajectories = [episode.trajectory for episode in episodes]
     for trajectory in trajectories:
         trajectory.check_learnable()
     score = build_reward(config, reward).score
-    batches = [trajectories[i : i + AT_ONCE] for i in range(0, len(trajectories), AT_ONCE)]
+    batches = [trajectories[i : i + BATCH] for i in range(0, len(trajectories), BATCH)]
     rewards = [part.tolist() for batch in batches for part in score(batch)]
     return {
         "reward_version": reward.version,
@@ -37,29 +41,32 @@ def score_file(config: Config, reward: Weights, file: Path) -> dict[str, Any]:
 
 
 def score_table(scored: dict[str, Any]) -> Table:
-    """Mean reward a step by task, of episodes that succeeded and of those that failed."""
-    table = Table(title=f"the reward ({scored['form']}) of version {scored['reward_version']}, mean of all steps")
+    """Mean reward per step for each task, of successful and of failed episodes."""
+    table = Table(title=f"reward ({scored['form']}), version {scored['reward_version']}, mean over steps")
     for name in ("task", "succeeded", "reward", "failed", "reward"):
         table.add_column(name, justify="left" if name == "task" else "right")
     episodes = scored["episodes"]
     for task in sorted({episode["task"] for episode in episodes}):
         cells = []
         for success in (True, False):
-            mine = [e["rewards"] for e in episodes if e["task"] == task and e["success"] is success]
-            steps = [reward for rewards in mine for reward in rewards]
-            cells += [str(len(mine)), f"{sum(steps) / len(steps):+.2f}" if steps else "-"]
+            own = [e["rewards"] for e in episodes if e["task"] == task and e["success"] is success]
+            steps = [reward for rewards in own for reward in rewards]
+            cells += [str(len(own)), f"{sum(steps) / len(steps):+.2f}" if steps else "-"]
         table.add_row(task, *cells)
     return table
 
 
-def serve_reward(config: Config, reward: Weights, port: int, tell: Callable[[str], None]) -> None:
-    """Answer on a loopback port until Ctrl-C or SIGTERM; port 0 takes any free one, and `tell` hears which."""
+def serve_reward(config: Config, reward: Weights, port: int, on_ready: Callable[[str], None]) -> None:
+    """Serve the reward on a loopback port until Ctrl-C or SIGTERM; port 0 takes any free one.
+
+    `on_ready` is called with the address.
+    """
     torch.set_num_threads(1)
     service = RewardService(lambda weights: build_reward(config, weights).score, port=port)
     service.set_weights(reward)
     stop = Event()
     with stopping(stop):
-        tell(service.address)
+        on_ready(service.address)
         service.serve(stop.is_set)
 
 

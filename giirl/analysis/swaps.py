@@ -1,4 +1,4 @@
-"""Another instruction for the same page: the same sentence, naming another element."""
+"""Goal swaps: the instruction of a page with the name of another of its elements."""
 
 from __future__ import annotations
 
@@ -10,37 +10,38 @@ from giirl_core.types import NO_SPAN, Goal, Observation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Renamed:
-    """An instruction that names another element of the page, of the same tag."""
+class GoalSwap:
+    """A goal that names another element of the page, of the same tag."""
 
     tag: str
-    wanted: str  # what the page's own instruction names
-    other: str  # what `goal` names instead
+    wanted: str  # text of the element that the page's own goal names
+    other: str  # text of the element that `goal` names instead
     goal: Goal
 
 
-def renamed(seen: Observation, tag: str | None = None) -> Renamed | None:
-    """The page's instruction with the text of another element in place of the one it names; None where it names none.
+def swap_goal(observation: Observation, tag: str | None = None) -> GoalSwap | None:
+    """Replace the element that the goal names by another one of the page; None if that is not possible.
 
-    Texts in quotes come first, then longer ones. Which other element it is, is drawn by the page's seed. With
-    `tag` only such elements count.
+    Of several texts that the goal contains, the first choice is one in quotes, then the longest. The page's seed
+    chooses the other element. With `tag`, only elements of this tag count.
     """
-    page, goal = seen.page, seen.goal
+    page, goal = observation.page, observation.goal
     found: list[tuple[bool, int, str, str]] = []
     for name, text in dict.fromkeys(zip(page.tag, page.text, strict=True)):
         start, end = goal.find(text)
         if start != NO_SPAN and tag in (None, name):
-            found.append((goal.tokens[start - 1 : start] == ('"',), end - start, name, text))
+            quoted = goal.tokens[start - 1 : start] == ('"',)
+            found.append((quoted, end - start, name, text))
     for _, _, name, text in sorted(found, key=lambda one: one[:2], reverse=True):
         labels = dict.fromkeys(other for kind, other in zip(page.tag, page.text, strict=True) if kind == name and other)
         others = [label for label in labels if goal.find(label)[0] == NO_SPAN]
         if others:
-            other = others[np.random.default_rng(seen.episode.seed).integers(len(others))]
-            return Renamed(tag=name, wanted=text, other=other, goal=_replaced(goal, text, other))
+            other = others[np.random.default_rng(observation.episode.seed).integers(len(others))]
+            return GoalSwap(tag=name, wanted=text, other=other, goal=_replaced(goal, text, other))
     return None
 
 
 def _replaced(goal: Goal, text: str, other: str) -> Goal:
     start, end = goal.find(text)
-    said = goal.utterance
-    return Goal(said[: goal.offsets[start][0]] + other + said[goal.offsets[end][1] :])
+    before, after = goal.utterance[: goal.offsets[start][0]], goal.utterance[goal.offsets[end][1] :]
+    return Goal(before + other + after)

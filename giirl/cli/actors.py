@@ -1,4 +1,4 @@
-"""giirl actors: more or fewer of them while a run goes on."""
+"""`giirl actors`: change the number of actors of a running run."""
 
 from __future__ import annotations
 
@@ -6,21 +6,22 @@ from pathlib import Path
 
 import click
 
+from giirl.cli.options import RUN
 from giirl.run.folder import RunFolder
 from giirl_core.config import MAX_ACTORS
 from giirl_core.progress import Display
 
 
 @click.command()
-@click.argument("run", type=click.Path(path_type=Path))
+@RUN
 @click.argument("count", type=click.IntRange(1, MAX_ACTORS))
 def actors(run: Path, count: int) -> None:
-    """Have COUNT actors play for RUN from now on.
+    """Change the number of actors of RUN to COUNT while it runs.
 
-    Those that are too many hand over what they have finished and leave; the run takes notice within a second.
+    The run notices within a second. Surplus actors hand over their finished episodes before they end.
     """
     folder, config = RunFolder.open(run)
     if config.runtime == "serial" or config.stream.policy_lag == 0:
-        raise ValueError(f"{run} plays in one thread or in lock-step: its number of actors is fixed")
+        raise ValueError(f"{run} uses the serial runtime or lock-step: its number of actors is fixed")
     folder.write(folder.wanted, str(count))
     Display().say(f"{run}: {count} actors from now on")

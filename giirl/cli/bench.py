@@ -1,8 +1,7 @@
-"""The `giirl bench` commands: what is fast and what it costs, measured beside what it replaces."""
+"""The `giirl bench` commands: speed and cost, compared with the alternatives."""
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -10,32 +9,35 @@ from typing import Any
 import click
 from rich.table import Table
 
-from giirl.cli.demos import writable
-from giirl_core.files import atomic_write
+from giirl.cli.options import JSON
+from giirl_core.files import write_json
 from giirl_core.progress import Display
 
-JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write the numbers here.")
+TRANSPORT = {  # command: help. The functions are `benchmarks.transport.BENCHES`, under the same names.
+    "wire": "Encode and decode an episode of 100 KB, compared with memcpy.",
+    "scoring": "Round trips of a scoring request, transport only, compared with Ray's actor calls.",
+    "ingest": "Episodes of 100 KB into the learner's queue, compared with Ray's actor calls and its object store.",
+    "scale": "The learner's cost per trajectory at 1,000 simulated actors, compared with 10.",
+}
 
 
 @click.group()
 def bench() -> None:
-    """Measure how fast things are, beside what they replace, on this machine."""
+    """Measure speed on this machine, compared with the alternatives."""
 
 
 @bench.command()
 @click.option("--task", "tasks", multiple=True, help="Only this task; may be given again.")
-@click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each side, a task.")
+@click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each side per task.")
 @click.option("--seconds", default=2.0, show_default=True, type=click.FloatRange(0.1), help="Length of a turn.")
 @JSON
 def farm(tasks: tuple[str, ...], rounds: int, seconds: float, json_file: Path | None) -> None:
-    """The browser farm beside the miniwob package's environment: steps per second, CPU, memory."""
+    """The browser farm compared with the miniwob package's environment: steps per second, CPU, memory."""
     from benchmarks.farm import TASKS, measure
 
     for task in tasks:
         if task not in TASKS:
-            raise ValueError(f"the benchmark plays {', '.join(TASKS)}, not {task!r}")
-    if json_file is not None:
-        writable(json_file)
+            raise ValueError(f"the benchmark has no task {task!r}: wanted {', '.join(TASKS)}")
     display = Display()
     found = measure(display, tasks=tasks or TASKS, rounds=rounds, seconds=seconds)
     table = Table("task", "steps/s", "CPU ms/step", "steps/core-s", "x miniwob", "x without screenshots")
@@ -51,52 +53,58 @@ def farm(tasks: tuple[str, ...], rounds: int, seconds: float, json_file: Path | 
     display.table(table)
     for name, value in found["memory"].items():
         click.echo(f"{name}: {value}")
-    save(json_file, found)
-
-
-@bench.command()
-@JSON
-def wire(json_file: Path | None) -> None:
-    """Encode and decode an episode of 100 KB, against memcpy."""
-    measure("wire", json_file)
-
-
-@bench.command()
-@JSON
-def scoring(json_file: Path | None) -> None:
-    """Round trips of a scoring request, transport alone, against Ray's actor calls."""
-    measure("scoring", json_file)
-
-
-@bench.command()
-@JSON
-def ingest(json_file: Path | None) -> None:
-    """Episodes of 100 KB into the learner's queue, against Ray's actor calls and its object store."""
-    measure("ingest", json_file)
-
-
-@bench.command()
-@JSON
-def scale(json_file: Path | None) -> None:
-    """The learner's cost per trajectory at 1,000 simulated actors, against 10."""
-    measure("scale", json_file)
-
-
-def measure(name: str, json_file: Path | None) -> None:
-    """Run one benchmark; show and save what it found under its name."""
-    from benchmarks.transport import BENCHES
-
-    writable(json_file)
-    display = Display()
-    with display.busy(f"measuring {name}"):
-        found: dict[str, Any] = BENCHES[name]()
-    for key, value in found.items():
-        display.say(f"{name}.{key} = {value}")
-    save(json_file, {name: found, "load_average": round(os.getloadavg()[0], 1)})
-
-
-def save(json_file: Path | None, found: dict[str, Any]) -> None:
-    """Write a command's numbers where it was asked to."""
     if json_file is not None:
-        with atomic_write(json_file) as file:
-            file.write(json.dumps(found, indent=2).encode() + b"\n")
+        write_json(json_file, found)
+
+
+@bench.command()
+@click.option("--before", default="", metavar="COMMIT", help="Compare with this commit, in turns.")
+@click.option("--turns", default=3, show_default=True, type=click.IntRange(1), help="Turns of each side.")
+@JSON
+def learner(before: str, turns: int, json_file: Path | None) -> None:
+    """The learner's CPU time on a fixture of pages: four tasks, fifty-two tasks, cloning."""
+    from benchmarks.learner import measure
+
+    _report(measure(Display(), before=before, turns=turns), json_file)
+
+
+@bench.command()
+@click.option("--actors", default=1, show_default=True, type=click.IntRange(1), help="Actors of the run.")
+@click.option("--tabs", default=8, show_default=True, type=click.IntRange(1), help="Tabs of each actor.")
+@click.option("--case", "cases", multiple=True, type=click.Choice(["four", "mix"]), help="Only this one.")
+@JSON
+def training(actors: int, tabs: int, cases: tuple[str, ...], json_file: Path | None) -> None:
+    """A whole run in Chrome compared with the bare farm: steps per second, CPU shares, waiting."""
+    from benchmarks.training import measure
+
+    _report(measure(Display(), actors=actors, tabs=tabs, cases=cases or ("four", "mix")), json_file)
+
+
+def _report(found: dict[str, Any], json_file: Path | None) -> None:
+    """Print every number, and write the JSON."""
+    for group, values in found.items():
+        for name, value in values.items() if isinstance(values, dict) else [("", values)]:
+            click.echo(f"{group}.{name} = {value}" if name else f"{group} = {value}")
+    if json_file is not None:
+        write_json(json_file, found)
+
+
+def _transport_command(name: str) -> click.Command:
+    @click.command(name, help=TRANSPORT[name])
+    @JSON
+    def command(json_file: Path | None) -> None:
+        from benchmarks.transport import BENCHES
+
+        display = Display()
+        with display.busy(f"measuring {name}"):
+            found: dict[str, Any] = BENCHES[name]()
+        for key, value in found.items():
+            display.say(f"{name}.{key} = {value}")
+        if json_file is not None:
+            write_json(json_file, {name: found, "load_average": round(os.getloadavg()[0], 1)})
+
+    return command
+
+
+for each in TRANSPORT:
+    bench.add_command(_transport_command(each))

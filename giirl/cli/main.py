@@ -1,4 +1,4 @@
-"""The `giirl` command: reads what the user typed, says what went wrong in one line, and leaves the work to others."""
+"""The `giirl` command. It parses arguments and reports errors in one line; other modules do the work."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from rich.table import Column, Table
 
 from giirl.cli.actors import actors
 from giirl.cli.bench import bench
-from giirl.cli.demos import demos, writable
+from giirl.cli.demos import demos
+from giirl.cli.options import JSON, RUN
 from giirl.cli.report import report
 from giirl.cli.reproduce import reproduce
 from giirl.cli.reproduce_web import commands
 from giirl.cli.reward import reward
 from giirl.doctor import checks
 from giirl.run.folder import RunFolder
+from giirl.run.worlds import world_of
 from giirl_core.config import Config
 from giirl_core.config_file import changed, dump_config, load_config
-from giirl_core.files import folder_lock
+from giirl_core.files import folder_lock, write_json
 from giirl_core.progress import Display
 
-RUN = click.argument("run", type=click.Path(path_type=Path))
 CONFIG = click.argument("config", required=False)
 OVERRIDES = click.argument("overrides", nargs=-1)
 EXTRAS = {  # optional package, by import name: the extra that installs it
@@ -42,24 +43,23 @@ EXTRAS = {  # optional package, by import name: the extra that installs it
     "zmq": "train",
 }
 RESUMABLE = ("iterations", "checkpoint_every", "keep_checkpoints", "evaluate.", "metrics.")
-JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write the result here.")
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="giirl")
 def giirl() -> None:
-    """Learn what an English instruction means as a reward, and train agents with it on web pages."""
+    """Learn a reward function for English instructions from demonstrations, and train web agents with it."""
 
 
 @giirl.command()
-@click.option("--demos", type=click.Path(path_type=Path), help="Also look at this folder of recordings.")
+@click.option("--demos", type=click.Path(path_type=Path), help="Also check this folder of recordings.")
 def doctor(demos: Path | None) -> None:
-    """What is installed, what is missing, how to get it."""
-    table = Table("", "what", Column("found", overflow="fold"), "how to mend it")
+    """Check what is installed and what is missing, and how to get it."""
+    table = Table("", "check", Column("found", overflow="fold"), "how to fix it")
     found = checks(demos)
     for check in found:
-        mark = "ok" if check.ok else ("MISSING" if check.needed else "low")
-        table.add_row(mark, check.name, check.found, "" if check.ok else check.mend)
+        mark = "ok" if check.ok else ("MISSING" if check.needed else "note")
+        table.add_row(mark, check.name, check.found, "" if check.ok else check.fix)
     Display().table(table)
     missing = [check.name for check in found if check.needed and not check.ok]
     if missing:
@@ -69,8 +69,8 @@ def doctor(demos: Path | None) -> None:
 @giirl.command()
 @CONFIG
 @OVERRIDES
-@click.option("--runtime", type=click.Choice(["serial", "local", "ray"]), help="Where actors run; local by default.")
-@click.option("--resume", type=click.Path(path_type=Path), help="Go on with this run from its last checkpoint.")
+@click.option("--runtime", type=click.Choice(["serial", "local", "ray"]), help="Where actors run.  [default: local]")
+@click.option("--resume", type=click.Path(path_type=Path), help="Resume this run from its last checkpoint.")
 @JSON
 @click.pass_context
 def train(
@@ -83,39 +83,36 @@ def train(
 ) -> None:
     """Train, then evaluate: giirl train [CONFIG] [key=value ...].
 
-    CONFIG is a TOML file; without one the defaults hold. Any setting can be given as key=value, for example
+    CONFIG is a TOML file; without it every setting has its default. Any setting can be given as key=value, for example
     seed=1 tasks='["click-button"]' policy.entropy=0.2 run=runs/mine.
     """
-    from actors.browser import check_tasks
-    from giirl.run.api import result_table, train
+    from giirl.run.api import train
     from giirl.signals import Stopped
     from learner.checkpoint import latest_checkpoint
 
     display = Display()
-    writable(json_file)
     path, changes = _split(config, overrides, runtime)
     if resume is not None:
         folder, settings = RunFolder.open(resume)
         context.with_resource(folder_lock(folder.path))
-        settings = _prolonged(folder, settings, path, changes)
+        settings = _resumed_config(folder, settings, path, changes)
         checkpoint = latest_checkpoint(folder.checkpoints)
         display.say(f"resuming {folder.path} from {checkpoint.name}")
     else:
         settings, checkpoint = load_config(path, changes), None
-        if settings.world == "miniwob":
-            check_tasks(settings)
+        world_of(settings).check(settings)
         folder = RunFolder.create(settings, path.stem if path else "giirl")
         context.with_resource(folder_lock(folder.path))
-        display.say(f"run folder {folder.path}, every setting in its {folder.config_file.name}")
-        display.say(f"not the defaults: {' '.join(changed(settings)) or 'none'}")
+        display.say(f"run folder {folder.path}; all settings are in its {folder.config_file.name}")
+        display.say(f"settings that differ from the defaults: {' '.join(changed(settings)) or 'none'}")
     try:
         result = train(settings, folder, checkpoint, display)
     except Stopped:
-        display.say(f"stopped and saved; to go on: giirl train --resume {folder.path}")
+        display.say(f"stopped and saved; to resume: giirl train --resume {folder.path}")
         sys.exit(130)
-    for target in _some(json_file):
-        folder.write_json(target, result)
-    display.table(result_table(result))
+    if json_file is not None:
+        write_json(json_file, result)
+    display.table(world_of(settings).table(result))
     display.say(f"{result['env_steps']} environment steps, {result['seconds']:.0f} s; results in {folder.path}")
 
 
@@ -124,14 +121,14 @@ def train(
 @OVERRIDES
 @JSON
 def evaluate(run: Path, overrides: tuple[str, ...], json_file: Path | None) -> None:
-    """Greedy success of a run's policy on fresh pages, with the random baseline; or what it is worth in the grid."""
-    from giirl.run.api import evaluate, result_table
+    """Evaluate the greedy policy of a run on fresh pages, with the random baseline; in the grid, its return."""
+    from giirl.run.api import evaluate
 
-    writable(json_file)
+    _, config = RunFolder.open(run)
     result = evaluate(run, overrides, Display())
-    for path in _some(json_file):
-        RunFolder(run).write_json(path, result)
-    Display().table(result_table(result))
+    if json_file is not None:
+        write_json(json_file, result)
+    Display().table(world_of(config).table(result))
 
 
 giirl.add_command(actors)
@@ -144,12 +141,12 @@ for study in commands():
     reproduce.add_command(study)
 
 
-def _prolonged(folder: RunFolder, config: Config, path: Path | None, changes: list[str]) -> Config:
-    """The run's own config; only how long it goes on and how it is measured may change, and is then saved."""
-    free = [key for key in (change.partition("=")[0] for change in changes) if not key.startswith(RESUMABLE)]
-    if path is not None or free:
-        what = f"CONFIG {path}" if path is not None else free[0]
-        raise ValueError(f"--resume goes on with the run's own config: {what} is fixed, wanted only {RESUMABLE}")
+def _resumed_config(folder: RunFolder, config: Config, path: Path | None, changes: list[str]) -> Config:
+    """The config of a run to resume. Only its length and its evaluation may change; the change is then saved."""
+    fixed = [key for key in (change.partition("=")[0] for change in changes) if not key.startswith(RESUMABLE)]
+    if path is not None or fixed:
+        what = f"CONFIG {path}" if path is not None else fixed[0]
+        raise ValueError(f"--resume uses the config of the run: {what} is fixed, only {RESUMABLE} may change")
     if changes:
         config = load_config(folder.config_file, changes)
         folder.write(folder.config_file, dump_config(config))
@@ -157,7 +154,7 @@ def _prolonged(folder: RunFolder, config: Config, path: Path | None, changes: li
 
 
 def _split(config: str | None, overrides: tuple[str, ...], runtime: str | None) -> tuple[Path | None, list[str]]:
-    """CONFIG may be left out: then the first word is an override already."""
+    """The path of CONFIG and the overrides. CONFIG is optional: the first word may be an override already."""
     changes = list(overrides)
     path = None
     if config is not None and "=" in config:
@@ -169,13 +166,9 @@ def _split(config: str | None, overrides: tuple[str, ...], runtime: str | None) 
     return path, changes
 
 
-def _some(path: Path | None) -> list[Path]:
-    return [] if path is None else [path]
-
-
 def main() -> Never:
-    """Run the command; whatever a person can mend is one line and a status that is not 0."""
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # the nets are small: more threads only wait for each other
+    """Run the command. An error of the user or of the machine is one line and a non-zero exit status."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # the nets are small: more threads would only wait for each other
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""`giirl report`: a run on one page."""
+"""`giirl report`: a run on one HTML page."""
 
 from __future__ import annotations
 
@@ -6,31 +6,27 @@ from pathlib import Path
 
 import click
 
-from giirl.cli.demos import writable
+from giirl.cli.options import RUN, OutputFile
 from giirl.run.folder import RunFolder
+from giirl.run.worlds import world_of
 from giirl_core.progress import Display
-
-RUN = click.argument("run", type=click.Path(path_type=Path))
 
 
 @click.command()
 @RUN
-@click.option("--out", type=click.Path(path_type=Path), help="Where the page goes.  [default: RUN/report.html]")
-@click.option("--pages", default=3, show_default=True, type=click.IntRange(1, 100), help="Episodes to show a task.")
+@click.option("--out", type=OutputFile(), help="The HTML file to write.  [default: RUN/report.html]")
+@click.option("--pages", default=3, show_default=True, type=click.IntRange(1, 100), help="Episodes shown per task.")
 def report(run: Path, out: Path | None, pages: int) -> None:
     """Write one self-contained HTML page about a run: its numbers, its curves, and episodes as film strips."""
-    from actors.browser import check_tasks
     from giirl.report.build import report
 
     folder, config = RunFolder.open(run)
-    if config.world == "miniwob":
-        check_tasks(config)
+    world_of(config).check(config)
     out = out or folder.path / "report.html"
-    writable(out)
     report(folder, config, out, pages, f"giirl report {run} --pages {pages}", Display())
-    drawn(out)
+    say_written(out)
 
 
-def drawn(page: Path) -> None:
-    """Say where a page lies and how large it is."""
+def say_written(page: Path) -> None:
+    """Print the path and the size of an HTML file."""
     Display().say(f"{page}, {page.stat().st_size / 1e6:.1f} MB: open it in any browser")

@@ -1,87 +1,73 @@
-"""The `giirl reproduce` commands: the figures of the thesis's tabular chapter, with their numbers."""
+"""The `giirl reproduce` commands of the tabular chapter: each study is one command with one JSON."""
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import click
 
-from giirl.cli.demos import writable
+from giirl.cli.options import JSON, seeds
 from giirl.studies.grid_settings import ABLATION_SEEDS, JOINT_SEEDS, REPORT_SEEDS
-from giirl_core.files import atomic_write
+from giirl_core.files import write_json
 from giirl_core.progress import Display
 
-JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the numbers here.")
 FIGURES = Path("runs/figures")
 OUT = click.option(
-    "--out", type=click.Path(path_type=Path), default=FIGURES, show_default=True, help="Where the PNG goes."
+    "--out", type=click.Path(path_type=Path), default=FIGURES, show_default=True, help="Folder for the PNG."
 )
 
 
-def seeds(default: int) -> Callable[[Any], Any]:
-    """How many seeds, from 0 on."""
-    return click.option("--seeds", type=click.IntRange(1), default=default, show_default=True, help="How many.")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GridCommand:
+    """A study of the grid as a command; its function is in `giirl.studies.grid.STUDIES`, under the same name."""
+
+    help: str
+    seeds: int  # by default
+    draws_figure: bool = True
+
+
+GRID_COMMANDS = {
+    "figure-4.3": GridCommand(help="The map, and the reward learned for two sentences.", seeds=1),
+    "figure-4.4": GridCommand(
+        help="True return against environment steps for every goal, a band over seeds.", seeds=REPORT_SEEDS
+    ),
+    "gridcraft-joint": GridCommand(
+        help="Many layouts and goals at once, and the transfer to unseen layouts and goals.", seeds=JOINT_SEEDS
+    ),
+    "gridcraft-ablations": GridCommand(
+        help="Each part of the method left out, and a shaped reward compared with the sparse one.",
+        seeds=ABLATION_SEEDS,
+        draws_figure=False,
+    ),
+}
 
 
 @click.group()
 def reproduce() -> None:
-    """Run a study again: a table or a figure of the thesis, or a question beside it."""
+    """Run a study again: a table or figure of the thesis, or a further study."""
 
 
-@reproduce.command("figure-4.3")
-@JSON
-@OUT
-@seeds(1)
-def figure_4_3(json_file: Path | None, out: Path, seeds: int) -> None:
-    """The map, and the reward learned for two sentences."""
-    from giirl.studies.grid_figures import figure_4_3
+def _grid_command(name: str) -> click.Command:
+    study = GRID_COMMANDS[name]
 
-    _run(figure_4_3, json_file, out, seeds)
+    @click.command(name, help=study.help)
+    @JSON
+    @seeds(study.seeds)
+    def command(json_file: Path | None, seeds: int, out: Path = FIGURES) -> None:
+        from giirl.studies.grid import STUDIES
 
+        display, since_s = Display(), time.monotonic()
+        result = STUDIES[name](seeds, out, display)
+        if json_file is not None:
+            write_json(json_file, result)
+        click.echo(json.dumps(result, indent=2))
+        display.say(f"{result.get('figure', 'no figure')}, {time.monotonic() - since_s:.0f} s")
 
-@reproduce.command("figure-4.4")
-@JSON
-@OUT
-@seeds(REPORT_SEEDS)
-def figure_4_4(json_file: Path | None, out: Path, seeds: int) -> None:
-    """True return against steps for every goal, a band over seeds."""
-    from giirl.studies.grid_figures import figure_4_4
-
-    _run(figure_4_4, json_file, out, seeds)
+    return OUT(command) if study.draws_figure else command
 
 
-@reproduce.command("gridcraft-joint")
-@JSON
-@OUT
-@seeds(JOINT_SEEDS)
-def gridcraft_joint(json_file: Path | None, out: Path, seeds: int) -> None:
-    """Many layouts and goals at once, and what carries over to those never seen."""
-    from giirl.studies.grid_joint import gridcraft_joint
-
-    _run(gridcraft_joint, json_file, out, seeds)
-
-
-@reproduce.command("gridcraft-ablations")
-@JSON
-@seeds(ABLATION_SEEDS)
-def gridcraft_ablations(json_file: Path | None, seeds: int) -> None:
-    """What each part of the method is worth, and a shaped reward against the sparse one."""
-    from giirl.studies.grid_ablations import gridcraft_ablations
-
-    _run(gridcraft_ablations, json_file, FIGURES, seeds)
-
-
-def _run(study: Callable[[int, Path, Display], dict[str, Any]], json_file: Path | None, out: Path, seeds: int) -> None:
-    writable(json_file)
-    display, since_s = Display(), time.monotonic()
-    result = study(seeds, out, display)
-    text = json.dumps(result, indent=2) + "\n"
-    if json_file is not None:
-        with atomic_write(json_file) as file:
-            file.write(text.encode())
-    click.echo(text, nl=False)
-    display.say(f"{result.get('figure', 'no figure')}, {time.monotonic() - since_s:.0f} s")
+for each in GRID_COMMANDS:
+    reproduce.add_command(_grid_command(each))

@@ -7,44 +7,46 @@ from pathlib import Path
 from typing import Any
 
 from giirl.report.element_rewards import EpisodeView, scale_of
-from giirl.report.heatmap import Maps, draw_heat
 from giirl.report.inspector import Inspector
-from giirl.report.numbers import facts_of, lead_of, learning_group, result_lines, result_tables, success_group
+from giirl.report.numbers import facts_of, lead_of, learning_group, no_reward, weights_of
 from giirl.report.render import render, scale_view, strip_view
-from giirl.run.evaluate import THESIS
+from giirl.report.worlds import report_of
 from giirl.run.folder import RunFolder
-from giirl.run.grid import layouts_of, open_run, reward_panels
-from giirl.run.train import REWARDING
+from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.config_file import changed, dump_config
 from giirl_core.files import atomic_write
 from giirl_core.metrics import Metrics
 from giirl_core.progress import Display
-from giirl_core.types import EpisodeSpec, Goal, Weights
+from giirl_core.types import EpisodeSpec, Goal
 from learner.checkpoint import latest_checkpoint
+
+UNFINISHED = "The run is not finished, so it has no evaluation result."
 
 
 def report(folder: RunFolder, config: Config, out: Path, pages: int, command: str, display: Display) -> None:
     """Write the report of a run, with `pages` episodes per task. An unfinished run gives a report without results."""
     points, result = folder.points(), _result(folder)
     demonstrations = _demonstrations(folder, config, result)
-    groups = [success_group(config, points, result, demonstrations), learning_group(points)] if points else []
-    strips, words = _strips(folder, config, pages, display)
+    world = report_of(config)
+    groups = [world.success_group(config, points, result, demonstrations), learning_group(points)] if points else []
+    facts = facts_of(config, points, result, sum(demonstrations.values()) or None)
+    strips, words = world.strips(folder, config, pages, display)
     scale = scale_of(config)
     text = render(
         "report.html",
         title=f"{folder.path.name}: GIIRL run report",
         name=folder.path.name,
-        lead=lead_of(config, points, result),
-        facts=list(facts_of(config, points, result, sum(demonstrations.values()) or None).items()),
+        lead=lead_of(config, world.subject(config), points, result),
+        facts=list({**facts, **world.facts(config)}.items()),
         changes=[one for one in changed(config) if not one.startswith("run=")],
-        result_lines=result_lines(config, result),
-        result_tables=result_tables(config, result, THESIS),
-        maps=_maps(folder, config),
+        result_lines=world.result_lines(result) if result else [UNFINISHED],
+        result_tables=world.result_tables(result) if result else [],
+        maps=world.maps(folder, config),
         groups=groups,
         strips=[(task, [strip_view(strip, scale) for strip in some]) for task, some in strips.items()],
         strips_words=words,
-        scale=scale_view(scale) if config.algorithm in REWARDING else None,
+        scale=scale_view(scale) if ALGORITHMS[config.algorithm].has_learned_reward else None,
         settings=dump_config(config),
         command=command,
     )
@@ -57,9 +59,9 @@ def inspect(
 ) -> EpisodeView:
     """Write a report about one page: policy and reward under its own instruction and under another one."""
     checkpoint = latest_checkpoint(folder.checkpoints)
-    with Inspector(config, *_weights(folder, config, checkpoint), Metrics()) as inspector:
+    with Inspector(config, *weights_of(folder, config, checkpoint), Metrics()) as inspector:
         strip = inspector.page(spec, goal)
-    scale, reward = scale_of(config), config.algorithm in REWARDING
+    scale, reward = scale_of(config), ALGORITHMS[config.algorithm].has_learned_reward
     if strip.frames[0].other is None:
         lead = "No goal swap: no other element fits this instruction. Pass another instruction with --goal."
     else:
@@ -68,7 +70,7 @@ def inspect(
         "inspect.html",
         title=f"{spec.task}, page {spec.seed}",
         strip=strip_view(strip, scale),
-        lead=lead if reward else f"{lead} {_no_reward(config)}",
+        lead=lead if reward else f"{lead} {no_reward(config)}",
         scale=scale_view(scale) if reward else None,
         origin=f"{folder.path.name}, {checkpoint.name}",
         command=command,
@@ -76,47 +78,6 @@ def inspect(
     with atomic_write(out) as file:
         file.write(text.encode())
     return strip
-
-
-def _strips(
-    folder: RunFolder, config: Config, pages: int, display: Display
-) -> tuple[dict[str, list[EpisodeView]], str]:
-    """Episodes by task, with a description, or with the reason why there are none."""
-    if config.world != "miniwob":
-        return {}, ""
-    try:
-        checkpoint = latest_checkpoint(folder.checkpoints)
-    except ValueError as error:
-        return {}, f"No episodes: {error}."
-    strips: dict[str, list[EpisodeView]] = {task: [] for task in config.tasks}
-    with (
-        Inspector(config, *_weights(folder, config, checkpoint), Metrics()) as inspector,
-        display.job("playing episodes for the report", pages * len(config.tasks)) as job,
-    ):
-        for task in config.tasks:
-            for strip in inspector.strips(task, pages):
-                strips[task].append(strip)
-                job.advance()
-    words = [
-        f"The greedy policy of {checkpoint.name} on the first {pages} pages per task that are reserved for reports. "
-        "These pages are not used for training, demonstrations, evaluation or tuning, and none is left out. Each step "
-        "is also shown under a swapped instruction (goal swap), which names another element of the page. Where no "
-        "other element fits, it is the instruction of another page of the task."
-    ]
-    if config.browser == "fake":
-        words.append("The fake browser has no screenshots: elements are drawn as boxes.")
-    if config.algorithm not in REWARDING:
-        words.append(_no_reward(config))
-    return strips, " ".join(words)
-
-
-def _no_reward(config: Config) -> str:
-    return f"No reward is shown: {config.algorithm} learns only a policy."
-
-
-def _weights(folder: RunFolder, config: Config, checkpoint: Path) -> tuple[Weights, Weights | None]:
-    reward = folder.weights(checkpoint, "reward") if config.algorithm in REWARDING else None
-    return folder.weights(checkpoint, "policy"), reward
 
 
 def _result(folder: RunFolder) -> dict[str, Any] | None:
@@ -137,12 +98,3 @@ def _demonstrations(folder: RunFolder, config: Config, result: dict[str, Any] | 
         return {}
     tasks = [episode.trajectory.task for episode in folder.load_demonstrations()]
     return {task: tasks.count(task) for task in config.tasks}
-
-
-def _maps(folder: RunFolder, config: Config) -> Maps | None:
-    """Heat maps of the learned reward on the first layout of a grid run, one per training instruction."""
-    if config.world != "gridcraft" or config.algorithm not in REWARDING or not folder.checkpoints.exists():
-        return None
-    learner = open_run(config, latest_checkpoint(folder.checkpoints)).learner
-    layout = layouts_of(config.grid)[0]
-    return draw_heat(layout, reward_panels(config, learner, layout, learner.pairs))

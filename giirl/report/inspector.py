@@ -9,8 +9,7 @@ import numpy as np
 
 from actors.agents import PolicyAgent
 from actors.browser import open_browser
-from browser_farm.farm import ChromeFarm
-from giirl.analysis.swaps import renamed
+from giirl.analysis.swaps import swap_goal
 from giirl.report.element_rewards import EpisodeView, Frame, ScoredPage, score_elements
 from giirl.report.overlay import Box, visible_area
 from giirl_core.config import Config
@@ -18,7 +17,8 @@ from giirl_core.metrics import Metrics
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.parameters import load_net
 from giirl_core.nets.reward import build_policy, build_reward
-from giirl_core.types import Browser, Command, EpisodeSpec, Goal, Observation, Outcome, Purpose, Weights, page_seed
+from giirl_core.types import Browser, Command, EpisodeSpec, Goal, Observation, Outcome, Purpose, page_seed
+from giirl_core.weights import Weights
 
 PIXEL_RATIO = 2.0  # image pixels per CSS px in screenshots
 TAB = 0
@@ -63,7 +63,7 @@ class Inspector:
         if not 0 <= spec.seed < MAX_SEED:
             raise ValueError(f"the page seed {spec.seed} is out of range: wanted 0 to 2**53 - 1")
         observation = self._open(spec)
-        swap = renamed(observation)
+        swap = swap_goal(observation)
         frame = self._frame(observation, other or (swap.goal if swap else None))
         return EpisodeView(task=spec.task, seed=spec.seed, frames=(frame,))
 
@@ -73,7 +73,7 @@ class Inspector:
     def _play(self, spec: EpisodeSpec, others: Sequence[Goal]) -> EpisodeView:
         observation: Observation | None = self._open(spec)
         assert observation is not None
-        swap = renamed(observation)
+        swap = swap_goal(observation)
         other = swap.goal if swap is not None else next(iter(others), None)
         frames: list[Frame] = []
         while True:
@@ -100,12 +100,10 @@ class Inspector:
     def _score(self, observation: Observation) -> ScoredPage:
         page, goal, action = observation.page, observation.goal, None
         if page.leaf.any():
-            action = self._agent.select_actions([observation], np.zeros((1, 3), np.float32))[0].action
+            action = self._agent.select_actions([observation], np.zeros((1, 1, 3), np.float32))[0].action
         best = score_elements(self._reward, page, goal) if self._reward is not None else ()
         return ScoredPage(goal=goal, policy_action=action, best=best)
 
 
 def _screenshot(browser: Browser, area: Box) -> bytes | None:
-    if not isinstance(browser, ChromeFarm):
-        return None
     return browser.picture(TAB, (area.x, area.y, area.width, area.height), scale=PIXEL_RATIO) or None

@@ -10,19 +10,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from giirl.run.folder import RunFolder
+from giirl.run.worlds import world_of
 from giirl_core.config import Config
 from giirl_core.config_file import load_config
+from giirl_core.files import write_json
 from giirl_core.progress import Display
 from learner.checkpoint import latest_checkpoint
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from actors.agents import PolicyAgent
     from giirl_core.nets.reward import RewardModel
 
@@ -35,23 +34,13 @@ def train(
     `checkpoint` is one of the folder's checkpoints and resumes from there. A run that fails before its first
     checkpoint removes what it wrote. SIGINT and SIGTERM save a checkpoint and raise `giirl.signals.Stopped`.
     """
-    display = display or Display()
     try:
-        if config.world == "gridcraft":
-            from giirl.run.grid import train_grid
-
-            result = train_grid(config, folder, checkpoint, display)
-        else:
-            if config.runtime != "serial":  # a missing Ray is reported before demonstrations are made
-                import_module("giirl_core.processes.ray_platform")
-            from giirl.run.train import train as train_on_pages
-
-            result = train_on_pages(config, folder, checkpoint, display)
+        result = world_of(config).train(config, folder, checkpoint, display or Display())
     except BaseException:
         if checkpoint is None:
             folder.discard_unless_begun()
         raise
-    folder.write_json(folder.result, result)
+    write_json(folder.result, result)
     return result
 
 
@@ -62,39 +51,12 @@ def evaluate(run: Path, overrides: Sequence[str] = (), display: Display | None =
     """
     folder, _ = RunFolder.open(run)
     config = load_config(folder.config_file, overrides)
-    checkpoint = latest_checkpoint(folder.checkpoints)
-    start_s, points = time.monotonic(), folder.points()
-    result: dict[str, Any]
-    if config.world == "gridcraft":
-        from giirl.run.grid import evaluate_grid, open_run
-
-        result = evaluate_grid(config, open_run(config, checkpoint))
-    else:
-        from actors.browser import check_tasks
-        from giirl.run.evaluate import evaluate as evaluate_on_pages
-        from giirl_core.metrics import Metrics
-
-        check_tasks(config)
-        policy = folder.weights(checkpoint, "policy")
-        result = {
-            "tasks": evaluate_on_pages(config, policy, Metrics(), display or Display()),
-            "env_steps": points[-1]["env_steps"] if points else 0,
-            "algorithm": config.algorithm,
-            "seed": config.seed,
-        }
+    checkpoint, world = latest_checkpoint(folder.checkpoints), world_of(config)
+    world.check(config)
+    start_s = time.monotonic()
+    result = world.evaluate(config, folder, checkpoint, display or Display())
     result["seconds"] = round(time.monotonic() - start_s, 1)
     return result
-
-
-def result_table(result: dict[str, Any]) -> Table:
-    """The result of `train` or `evaluate` as a table for the terminal."""
-    if "goals" in result:
-        from giirl.run.grid import grid_table
-
-        return grid_table(result)
-    from giirl.run.evaluate import result_table as table_of_tasks
-
-    return table_of_tasks(result)
 
 
 def load_reward(run: Path) -> RewardModel:
@@ -120,6 +82,6 @@ def load_policy(run: Path, *, greedy: bool = True) -> PolicyAgent:
 
 def _on_pages(run: Path) -> tuple[RunFolder, Config]:
     folder, config = RunFolder.open(run)
-    if config.world != "miniwob":
+    if not world_of(config).has_pages:
         raise ValueError(f"{run} is a run with world = {config.world!r}, wanted one with world = 'miniwob'")
     return folder, config

@@ -1,4 +1,4 @@
-"""What a set of demonstrations holds, told task by task."""
+"""Statistics of demonstrations, task by task."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from giirl_core.types import Episode
 
 
 def verbs(episodes: Sequence[Episode]) -> dict[str, int]:
-    """How often each verb was used, the most frequent first."""
+    """The number of actions with each verb, the most frequent first."""
     counts = Counter(action.verb.name.lower() for episode in episodes for action in episode.trajectory.actions)
     return dict(counts.most_common())
 
 
 def stats_table(title: str, episodes: Sequence[Episode]) -> Table:
-    """Per task: episodes, successes, goals, steps, elements, verbs."""
+    """For each task: episodes, successes, goals, steps, elements and verbs."""
     table = Table(title=title)
     for name in ("task", "episodes", "succeeded", "goals", "median steps", "median elements", "verbs"):
         table.add_column(name, justify="left" if name in ("task", "verbs") else "right", no_wrap=name == "task")
     for task in sorted({episode.trajectory.task for episode in episodes}):
-        mine = [episode for episode in episodes if episode.trajectory.task == task]
-        elements = [len(page) for episode in mine for page in episode.trajectory.pages]
+        own = [episode for episode in episodes if episode.trajectory.task == task]
+        elements = [len(page) for episode in own for page in episode.trajectory.pages]
         table.add_row(
             task,
-            str(len(mine)),
-            str(sum(episode.outcome.success for episode in mine)),
-            str(len({episode.trajectory.goal.utterance for episode in mine})),
-            f"{np.median([len(episode.trajectory) for episode in mine]):.0f}",
+            str(len(own)),
+            str(sum(episode.outcome.success for episode in own)),
+            str(len({episode.trajectory.goal.utterance for episode in own})),
+            f"{np.median([len(episode.trajectory) for episode in own]):.0f}",
             f"{np.median(elements):.0f}",
-            ", ".join(f"{verb} {count}" for verb, count in verbs(mine).items()),
+            ", ".join(f"{verb} {count}" for verb, count in verbs(own).items()),
         )
     return table

@@ -1,14 +1,16 @@
-"""How good a policy is: greedy on fresh pages, beside chance on pages of its own."""
+"""Success of a policy: greedy on fresh pages, and of the random baseline on pages of its own."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import closing
 from typing import Any
 
 from rich.table import Table
 
-from actors.agents import Agent, PolicyAgent, RandomAgent
+from actors.agents import PolicyAgent, RandomAgent
 from actors.browser import open_browser
-from actors.rollouts import Schedule, play
+from actors.rollouts import play_pages
 from giirl.statistics import Score
 from giirl_core.config import Config
 from giirl_core.goals import is_held_out
@@ -17,79 +19,55 @@ from giirl_core.nets.language import load_vectors
 from giirl_core.nets.parameters import load_net
 from giirl_core.nets.reward import build_policy
 from giirl_core.progress import Display
-from giirl_core.types import Browser, Purpose, Weights
+from giirl_core.types import Episode, Purpose
+from giirl_core.weights import Weights
 
 THESIS = {"click-test": 1.00, "click-test-2": 1.00, "click-button": 0.99, "enter-text": 0.94}  # table 4.1
 
 
 def evaluate(config: Config, policy: Weights, metrics: Metrics, display: Display) -> dict[str, Any]:
-    """Success of the greedy policy and of chance: the `tasks` of a result.
+    """Success of the greedy policy and of the random baseline: the `tasks` of a result, one row per task.
 
-    Pages come from seeds that neither training, demonstrations nor tuning ever use.
+    The pages have seeds that training, demonstrations and tuning never use.
     """
     net = build_policy(config)
     load_net(net, policy)
     greedy = PolicyAgent(net, load_vectors(config.net.vectors), version=policy.version, greedy=True)
-    browser = open_browser(config, metrics)
-    try:
-        scores = _measure(
-            config, browser, greedy, Purpose.EVALUATE, config.evaluate.episodes, metrics, display, "evaluating"
-        )
-        floor = _measure(
-            config,
-            browser,
-            RandomAgent(),
-            Purpose.RANDOM,
-            config.evaluate.random_episodes,
-            metrics,
-            display,
-            "random baseline",
-        )
-    finally:
-        browser.close()
-    return {task: _row(scores[task], floor[task]) for task in config.tasks}
+    pages, random_pages, tasks = config.evaluate.episodes, config.evaluate.random_episodes, len(config.tasks)
+    with closing(open_browser(config, metrics)) as browser:
+        with display.job("evaluating", pages * tasks) as job:
+            played = play_pages(config, browser, greedy, Purpose.EVALUATE, pages, metrics, job=job)
+        with display.job("random baseline", random_pages * tasks) as job:
+            at_random = play_pages(config, browser, RandomAgent(), Purpose.RANDOM, random_pages, metrics, job=job)
+    return {task: _row(config, task, played, at_random) for task in config.tasks}
 
 
-def _row(scores: tuple[Score, Score], floors: tuple[Score, Score]) -> dict[str, Any]:
-    """All pages together; and, where goals were held out, theirs and the others' apart."""
-    floor = floors[0] + floors[1]
-    row = {**_success(scores[0] + scores[1]), "random": floor.success, "random_episodes": floor.episodes}
-    if all(score.episodes for score in scores):
-        row |= {"trained_goals": _success(scores[0]), "held_out_goals": _success(scores[1])}
+def _row(config: Config, task: str, played: Sequence[Episode], at_random: Sequence[Episode]) -> dict[str, Any]:
+    """Success on all pages; if goals were held out of training, also on those goals and on the others."""
+    trained, held_out = (_score(config, task, played, held_out) for held_out in (False, True))
+    trained = Score(episodes=config.evaluate.episodes - held_out.episodes, successes=trained.successes)
+    random = Score(
+        episodes=config.evaluate.random_episodes,
+        successes=sum(episode.outcome.success for episode in at_random if episode.trajectory.task == task),
+    )
+    row = {**(trained + held_out).row(), "random": random.success, "random_episodes": random.episodes}
+    if trained.episodes and held_out.episodes:
+        row |= {"trained_goals": trained.row(), "held_out_goals": held_out.row()}
     return row
 
 
-def _success(score: Score) -> dict[str, Any]:
-    low, high = score.interval()
-    return {"episodes": score.episodes, "success": score.success, "low": round(low, 4), "high": round(high, 4)}
-
-
-def _measure(
-    config: Config,
-    browser: Browser,
-    chooser: Agent,
-    purpose: Purpose,
-    episodes: int,
-    metrics: Metrics,
-    display: Display,
-    what: str,
-) -> dict[str, tuple[Score, Score]]:
-    """Success under goals that training saw, and under those held out."""
-    schedule = Schedule(config.tasks, browser.tabs, purpose=purpose, run_seed=config.seed, quota=episodes)
-    scores = {task: [Score(episodes=0, successes=0), Score(episodes=0, successes=0)] for task in config.tasks}
-    with display.job(what, episodes * len(config.tasks)) as job:
-        for finished in play(browser, chooser, schedule, step_limit=config.step_limit, metrics=metrics):
-            for episode in finished:
-                one = Score(episodes=1, successes=int(episode.outcome.success))
-                scores[episode.trajectory.task][is_held_out(episode.trajectory.goal, config.held_out_goals)] += one
-            job.advance(len(finished))
-    for task, (seen, unseen) in scores.items():  # pages that never opened, or showed nothing to act on, are failures
-        scores[task][0] = Score(episodes=episodes - unseen.episodes, successes=seen.successes)
-    return {task: (seen, unseen) for task, (seen, unseen) in scores.items()}
+def _score(config: Config, task: str, played: Sequence[Episode], held_out: bool) -> Score:
+    """Of the episodes of a task whose goal was, or was not, held out of training."""
+    won = [
+        episode.outcome.success
+        for episode in played
+        if episode.trajectory.task == task and is_held_out(episode.trajectory.goal, config.held_out_goals) is held_out
+    ]
+    return Score(episodes=len(won), successes=sum(won))
 
 
 def result_table(result: dict[str, Any]) -> Table:
-    """Task, floor, success with its interval, the thesis's figure."""
+    """For each task: success of the random baseline, success with its interval, and the figure of the thesis."""
     table = Table(title=f"greedy success on fresh pages, {result['algorithm']}, seed {result['seed']}")
     for name, side in (("task", "left"), ("random", "right"), ("success", "right"), ("95 %", "right")):
         table.add_column(name, justify=side)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""One run, one folder: config, demonstrations, checkpoints, curve, results and where to scrape it."""
+"""The folder of a run: config, demonstrations, checkpoints, learning curve, result and metrics addresses."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from typing import Any
 from giirl_core.config import Config
 from giirl_core.config_file import dump_config, load_config
 from giirl_core.files import atomic_write
-from giirl_core.types import Episode, Weights
+from giirl_core.types import Episode
+from giirl_core.weights import Weights
 from giirl_core.wire.messages import read_episodes, write_episodes
 
 
 class RunFolder:
-    """Paths of a run and the files that are more than bytes."""
+    """The paths of a run's files, and reading and writing them."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -33,7 +34,7 @@ class RunFolder:
 
     @classmethod
     def create(cls, config: Config, name: str) -> RunFolder:
-        """A new folder with the resolved config in it; ValueError when something is already there."""
+        """A new folder with the resolved config in it; ValueError if it exists and is not empty."""
         path = Path(config.run or f"runs/{name}-{time.strftime('%Y%m%d-%H%M%S')}")
         folder = cls(path)
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
@@ -47,14 +48,14 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: Path) -> tuple[RunFolder, Config]:
-        """An earlier run and its config."""
+        """The folder of an earlier run, and its config; ValueError if it is none."""
         folder = cls(path)
         if not folder.config_file.is_file():
-            raise ValueError(f"{path} is no run: there is no {folder.config_file.name} in it")
+            raise ValueError(f"{path} is not a run: it has no {folder.config_file.name}")
         return folder, load_config(folder.config_file)
 
     def discard_unless_begun(self) -> None:
-        """Take back `create` where a run failed before its first checkpoint: the mended command finds no folder."""
+        """Undo `create` if the run failed before its first checkpoint, so that the same command can be repeated."""
         if not self.checkpoints.exists():
             for path in (
                 self.config_file,
@@ -70,23 +71,19 @@ class RunFolder:
 
     @property
     def identity(self) -> str:
-        """What tells this run from every other one, those in folders of the same name too."""
+        """A name that no other run has, even one in a folder of the same name. It is stored in the folder."""
         if not self.identity_file.exists():
             name = "".join(c for c in self.path.name if c.isascii() and (c.isalnum() or c in "-_"))
             self.write(self.identity_file, f"{name[:40]}-{secrets.token_hex(4)}")
         return self.identity_file.read_text()
 
     def write(self, path: Path, text: str) -> None:
-        """Replace a file whole."""
+        """Write a file atomically."""
         with atomic_write(path) as file:
             file.write(text.encode())
 
-    def write_json(self, path: Path, result: Mapping[str, Any]) -> None:
-        """A result, readable by people and programs."""
-        self.write(path, json.dumps(result, indent=2) + "\n")
-
     def wanted_actors(self) -> int:
-        """How many actors were asked for since the run began, 0 when nobody asked."""
+        """The number of actors that `giirl actors` asked for, 0 if it was never called."""
         text = self.wanted.read_text() if self.wanted.exists() else ""
         return int(text) if text.isdecimal() else 0
 
@@ -97,23 +94,23 @@ class RunFolder:
         return read_episodes(self.demonstrations)
 
     def append_curve(self, point: Mapping[str, Any]) -> None:
-        """One line of the learning curve."""
+        """Append a point to the learning curve."""
         with self.curve.open("a") as file:
             file.write(json.dumps(point) + "\n")
 
     def points(self) -> list[dict[str, Any]]:
-        """The learning curve so far."""
+        """The points of the learning curve so far."""
         if not self.curve.exists():
             return []
-        *whole, _ = self.curve.read_text().split("\n")  # a run that was killed may leave a last line cut short
-        return [json.loads(line) for line in whole]
+        *lines, _ = self.curve.read_text().split("\n")  # a run that was killed may leave a truncated last line
+        return [json.loads(line) for line in lines]
 
     def cut_curve(self, step: int) -> None:
-        """Forget what came after `step`: a resumed run lives through it again."""
+        """Delete the points after `step`, which a resumed run will reach again."""
         kept = [point for point in self.points() if point["step"] <= step]
         self.write(self.curve, "".join(json.dumps(point) + "\n" for point in kept))
 
     def weights(self, checkpoint: Path, net: str) -> Weights:
-        """The weights of "policy" or "reward" in a checkpoint."""
+        """The weights of a net ("policy" or "reward") in a checkpoint."""
         version = json.loads((checkpoint / "learner.json").read_text())["version"]
         return Weights.seal(version, (checkpoint / f"{net}.safetensors").read_bytes())

@@ -1,4 +1,4 @@
-"""A run in LanguageGridCraft, from settings to measures: no browser, no processes, under a minute."""
+"""A run in LanguageGridCraft, from config to result: no browser, no other processes, under a minute."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rich.table import Column, Table
 
 from giirl.figures import Panel, draw_maps
 from giirl.run.folder import RunFolder
-from giirl.run.grid_metrics import Measures, learned_tables, means, measure, policy_fractions
+from giirl.run.grid_metrics import Measures, learned_tables, means, measure, policy_returns
 from giirl.signals import Stopped, raise_if, stopping
 from giirl_core.config import Config, GridConfig
 from giirl_core.nets.parameters import hash_nets
@@ -25,44 +25,39 @@ from gridcraft.instructions import Pair, ordered_pairs, plain_sentence
 from gridcraft.layouts import Layout, named_layout, random_layout
 from gridcraft.reward_metrics import state_mean
 from gridcraft.world import build_world
-from learner.algorithms import behavioural_cloning
+from learner.algorithms import LOOPS
 from learner.checkpoint import save_checkpoint
-from learner.giirl import Observe, giirl
 from learner.grid.learner import GridLearner
 from learner.grid.steps import GridSource
 
-PROGRESS = "grid.json"
-LOOPS: dict[str, Callable[[Config, GridLearner, GridSource, Iterator[int], Observe], None]] = {
-    "giirl": giirl,
-    "cloning": behavioural_cloning,
-}
-LATE = 2 / 3  # of a run: from here on the policy may not get worse again
+PROGRESS = "grid.json"  # in a checkpoint
+LATE = 2 / 3  # of a run; from here on `late_minimum` looks at the returns
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class GridRun:
-    """Algorithm 1 under way, and what came out of it."""
+    """The state of a run in memory: what is trained, what plays, and the learning curve."""
 
     learner: GridLearner
     source: GridSource
-    curve: list[dict[str, Any]]  # step, env_steps, returns by sentence, and what the updates told
-    cpu_s: float = 0.0  # of learning, demonstrations and chance's episodes included, measuring and saving not
+    curve: list[dict[str, Any]]  # step, env_steps, returns by sentence, statistics of the updates
+    cpu_s: float = 0.0  # of training, demonstrations and random episodes; not of measuring and saving
 
     @property
     def env_steps(self) -> int:
-        """Of all episodes that were learned from, chance's among them."""
+        """In all episodes that the learner trained on, the random ones included."""
         return self.learner.random_env_steps + self.source.env_steps
 
     @property
     def late_minimum(self) -> float:
-        """The worst goal's worst measured return in the last third of the run."""
+        """The lowest measured return of any goal in the last third of the run."""
         last = self.curve[-1]["step"]
         late = [point["returns"].values() for point in self.curve if point["step"] > LATE * last]
         return float(min(min(returns) for returns in late))
 
     @property
     def mean_return(self) -> float:
-        """Of the goals, when last measured; 0 before."""
+        """The mean over goals at the last measurement; 0 before the first."""
         return float(np.mean(list(self.curve[-1]["returns"].values()))) if self.curve else 0.0
 
     def save(self, folder: Path) -> None:
@@ -78,34 +73,34 @@ class GridRun:
 
 
 def layouts_of(grid: GridConfig) -> tuple[Layout, ...]:
-    """The layouts that the config names, then its random ones."""
+    """The layouts that the config names, then its random layouts."""
     seeds = range(grid.layout_seed, grid.layout_seed + grid.random_layouts)
     named = tuple(named_layout(name) for name in grid.layouts)
     return named + tuple(random_layout(seed, colours=grid.colours) for seed in seeds)
 
 
 def pairs_of(grid: GridConfig) -> tuple[Pair, ...]:
-    """The pairs that training sees."""
-    held = {read_pair(text) for text in grid.held_out}
+    """The pairs of colours (goal, avoid) to train on: all of the config, without the held-out ones."""
+    held_out = {read_pair(text) for text in grid.held_out}
     every = tuple(read_pair(text) for text in grid.goals) or ordered_pairs(grid.colours)
-    if strange := held - set(every):
-        raise ValueError(f"grid.held_out has {min(map(str, strange))}, which is none of the {len(every)} goals")
-    if not (kept := tuple(pair for pair in every if pair not in held)):
-        raise ValueError("grid.held_out holds every goal out: wanted at least one to learn from")
+    if unknown := held_out - set(every):
+        raise ValueError(f"grid.held_out has {min(map(str, unknown))}, which is none of the {len(every)} goals")
+    if not (kept := tuple(pair for pair in every if pair not in held_out)):
+        raise ValueError("grid.held_out holds every goal out: wanted at least one to train on")
     return kept
 
 
 def read_pair(text: str) -> Pair:
-    """`red-blue`: go to red, avoid blue."""
+    """Parse "red-blue": go to red, avoid blue."""
     goal, dash, avoid = text.partition("-")
     if not dash:
-        raise ValueError(f"{text!r} is no pair of colours, wanted one like 'red-blue': go to red, avoid blue")
+        raise ValueError(f"{text!r} is not a pair of colours: wanted one like 'red-blue', go to red and avoid blue")
     return Pair(goal, avoid)
 
 
 def open_run(config: Config, checkpoint: Path | None = None) -> GridRun:
-    """A run at its first step, or where a checkpoint left it."""
-    torch.set_num_threads(1)  # the nets are small: more threads only wait for each other
+    """A new run, or one as a checkpoint saved it."""
+    torch.set_num_threads(1)  # the nets are small: more threads would only wait for each other
     since_s = time.process_time()
     world = build_world(layouts_of(config.grid))
     learner = GridLearner(config, world, pairs_of(config.grid))
@@ -117,14 +112,17 @@ def open_run(config: Config, checkpoint: Path | None = None) -> GridRun:
 
 
 def learn(config: Config) -> GridRun:
-    """Algorithm 1, or cloning, from the first step to the last."""
+    """Train in memory from the first iteration to the last."""
     run = open_run(config)
-    go_on(config, run, lambda: None)
+    continue_run(config, run, lambda: None)
     return run
 
 
-def go_on(config: Config, run: GridRun, after_step: Callable[[], None], stop: Event | None = None) -> None:
-    """From where the run is to `iterations`; the policy is measured every `grid.measure_every`."""
+def continue_run(config: Config, run: GridRun, after_step: Callable[[], None], stop: Event | None = None) -> None:
+    """Train a run from its current iteration to the last, and measure the policy every `grid.measure_every`.
+
+    `after_step` is called after each iteration. Stopped when `stop` is set.
+    """
     learner, began_s = run.learner, time.process_time()
 
     def steps() -> Iterator[int]:
@@ -139,7 +137,7 @@ def go_on(config: Config, run: GridRun, after_step: Callable[[], None], stop: Ev
         run.cpu_s += time.process_time() - began_s
         learner.version = step + 1
         if learner.version % config.grid.measure_every == 0 or learner.version == config.iterations:
-            returns = [round(got, 6) for got in policy_fractions(config, learner, run.source.world)]
+            returns = [round(value, 6) for value in policy_returns(config, learner, run.source.world)]
             named = dict(zip(map(plain_sentence, learner.pairs), returns, strict=True))
             run.curve.append({"step": learner.version, "env_steps": run.env_steps, "returns": named, **stats})
         after_step()
@@ -149,14 +147,17 @@ def go_on(config: Config, run: GridRun, after_step: Callable[[], None], stop: Ev
 
 
 def train_grid(config: Config, folder: RunFolder, resume: Path | None, display: Display) -> dict[str, Any]:
-    """Learn, measure and draw the first figure into the run's folder; Stopped after Ctrl-C, with all saved."""
+    """Train, evaluate and draw the learned reward; returns the result.
+
+    Raises Stopped after Ctrl-C or SIGTERM, with a checkpoint saved.
+    """
     since_s = time.monotonic()
     display.say(f"world {config.world}: {len(layouts_of(config.grid))} layouts, {len(pairs_of(config.grid))} goals")
     run, stop = open_run(config, resume), Event()
     folder.cut_curve(run.learner.version)
     run.curve = folder.points()
     if resume is None:
-        _save(config, folder, run)  # from here on the run can be resumed
+        _save(config, folder, run)  # now the run can be resumed
     with stopping(stop), display.job("training", config.iterations, run.learner.version) as job:
 
         def after_step() -> None:
@@ -167,13 +168,13 @@ def train_grid(config: Config, folder: RunFolder, resume: Path | None, display: 
                 _save(config, folder, run)
 
         try:
-            go_on(config, run, after_step, stop)
+            continue_run(config, run, after_step, stop)
         except Stopped:
             _save(config, folder, run)
             raise
     figure = folder.path / "reward.png"
     draw_rewards(figure, config, run.learner, layouts_of(config.grid)[0], run.learner.pairs[:2])
-    display.say(f"the learned reward, drawn: {figure}")
+    display.say(f"heat map of the learned reward: {figure}")
     return {
         **evaluate_grid(config, run),
         "late_minimum": run.late_minimum,
@@ -182,7 +183,7 @@ def train_grid(config: Config, folder: RunFolder, resume: Path | None, display: 
 
 
 def evaluate_grid(config: Config, run: GridRun) -> dict[str, Any]:
-    """What policy and reward are worth in the layouts and for the goals of the config."""
+    """The result of a run: policy and reward measured in the layouts and for the goals of the config."""
     return {
         **summary(measure(config, run.learner, layouts_of(config.grid), run.learner.pairs)),
         "env_steps": run.env_steps,
@@ -198,7 +199,7 @@ def _save(config: Config, folder: RunFolder, run: GridRun) -> None:
 
 
 def summary(found: Sequence[Measures]) -> dict[str, Any]:
-    """Measures by goal, and their means over goals and layouts."""
+    """Returns by goal, and the means of all measures over goals and layouts."""
     goals = {}
     for pair in dict.fromkeys(one.pair for one in found):
         own = means([one for one in found if one.pair == pair])
@@ -225,22 +226,22 @@ def summary(found: Sequence[Measures]) -> dict[str, Any]:
 
 
 def grid_table(result: dict[str, Any]) -> Table:
-    """The result, for a person."""
+    """A result as a table for the terminal."""
     table = Table("instruction", Column("return", justify="right"), Column("re-optimised", justify="right"))
     for goal, own in result["goals"].items():
         table.add_row(goal, f"{own['return_over_optimal']:.3f}", f"{own['reoptimised_over_optimal']:.3f}")
     numbers = f"Spearman {result['spearman']:.2f}, Pearson {result['pearson']:.2f}, EPIC {result['epic']:.2f}"
-    table.caption = f"1 is optimal, 0 chance. The reward: {numbers}"
+    table.caption = f"1 is optimal, 0 random. Learned reward: {numbers}"
     return table
 
 
 def draw_rewards(path: Path, config: Config, learner: GridLearner, layout: Layout, pairs: Sequence[Pair]) -> None:
-    """The true map, and the state-mean learned reward under each sentence: figure 4.3 of the thesis."""
+    """Draw the map and the state-mean learned reward under each sentence (figure 4.3 of the thesis)."""
     draw_maps(path, layout, reward_panels(config, learner, layout, pairs))
 
 
 def reward_panels(config: Config, learner: GridLearner, layout: Layout, pairs: Sequence[Pair]) -> list[Panel]:
-    """The state-mean learned reward on a layout under each sentence."""
+    """The state-mean learned reward [H, W] on a layout under each sentence."""
     world = build_world([layout])
     panels = []
     for pair in pairs:

@@ -1,4 +1,4 @@
-"""What a policy and a reward learned in LanguageGridCraft are worth, layout by layout and goal by goal, exactly."""
+"""Exact measures of a policy and a reward learned in LanguageGridCraft, for each layout and goal."""
 
 from __future__ import annotations
 
@@ -31,27 +31,25 @@ from learner.grid.steps import EXPERT_TEMPERATURE
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measures:
-    """One goal in one layout; returns as fractions of optimal above chance."""
+    """Measures of one goal in one layout. Returns are normalised: 0 is the random policy, 1 the optimal one."""
 
     pair: Pair
-    policy: float  # the policy that was learned, as it explores
-    cloning: float  # chance's, where nothing was cloned
-    reoptimised: float  # value iteration on the frozen reward
-    spearman: float  # of the state-mean reward with the optimal value
+    policy: float  # return of the learned policy, as it explores
+    cloning: float  # return of the cloned policy; 0 if nothing was cloned
+    reoptimised: float  # return of value iteration on the frozen reward
+    spearman: float  # correlation of the state-mean reward with the optimal value
     pearson: float
     epic: float
-    avoid_rank: float  # the chance that an avoided cell scores below a neutral one
-    matched_avoid_rank: float  # the same among cells equally far from the goal
-    sensitivity: (
-        float  # the share of the expert's steps that earn more than under the sentence with its colours swapped
-    )
-    entered: float  # share of episodes in which the re-optimised agent enters the avoided colour
+    avoid_rank: float  # probability that an avoided cell has a lower reward than a neutral one
+    matched_avoid_rank: float  # the same among cells at the same distance from the goal
+    sensitivity: float  # fraction of expert steps with a higher reward than under the sentence with swapped colours
+    entered: float  # fraction of episodes in which the re-optimised policy enters the avoided colour
     expert_entered: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tables:
-    """What was learned, for one layout and one sentence."""
+    """The learned nets as tables, for one layout and one sentence."""
 
     policy: NDArray[np.float64]  # [S, A]
     cloning: NDArray[np.float64]  # [S, A]
@@ -59,31 +57,31 @@ class Tables:
 
 
 def learned_tables(config: Config, learner: GridLearner, world: World, pair: Pair) -> Tables:
-    """The nets asked about every state and action under the plain sentence of a pair, seen in training or not."""
-    sight = GridFeatures(world, [plain_sentence(pair)], learner.bag, config.grid)
+    """The nets evaluated on every state and action under the plain sentence of a pair, trained on or not."""
+    features = GridFeatures(world, [plain_sentence(pair)], learner.bag, config.grid)
     form, clip = config.discriminator.reward, config.discriminator.clip
     return Tables(
-        policy=policy_table(learner.behaviour_policy, sight, 0),
-        cloning=policy_table(learner.cloner.net, sight, 0),
-        reward=reward_table(learner.discriminator.net, sight, 0, form, clip),
+        policy=policy_table(learner.behaviour_policy, features, 0),
+        cloning=policy_table(learner.cloner.net, features, 0),
+        reward=reward_table(learner.discriminator.net, features, 0, form, clip),
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Truth:
-    """What is so in a world under a pair, whatever was learned."""
+class GroundTruth:
+    """Properties of a world under a pair, independent of what was learned."""
 
     reward: NDArray[np.float64]  # [S, A]
     value: NDArray[np.float64]  # [S] V*
-    bounds: tuple[float, float]  # the returns of chance and of the optimum
-    expert: NDArray[np.float64]  # [S, A] who gave the demonstrations
+    bounds: tuple[float, float]  # returns of the random and of the optimal policy
+    expert: NDArray[np.float64]  # [S, A] the policy that demonstrates
 
 
 @functools.lru_cache(maxsize=1024)
-def truth(world: World, pair: Pair) -> Truth:
-    """Worked out once for every world there is."""
+def ground_truth(world: World, pair: Pair) -> GroundTruth:
+    """Computed once for each world and pair."""
     reward = true_reward(world, pair)
-    return Truth(
+    return GroundTruth(
         reward=reward,
         value=solve(world, reward).v,
         bounds=return_bounds(world, reward),
@@ -92,28 +90,28 @@ def truth(world: World, pair: Pair) -> Truth:
 
 
 @functools.lru_cache(maxsize=256)
-def world_of(layout: Layout) -> World:
-    """The layout alone as a world, the same one every time."""
+def layout_world(layout: Layout) -> World:
+    """A world of this layout alone; the same object for the same layout."""
     return build_world([layout])
 
 
-def policy_fractions(config: Config, learner: GridLearner, world: World) -> list[float]:
-    """The policy's return under each pair of the training, as a normalized_return of optimal above chance."""
-    sight = GridFeatures(world, [plain_sentence(pair) for pair in learner.pairs], learner.bag, config.grid)
-    known = [truth(world, pair) for pair in learner.pairs]
+def policy_returns(config: Config, learner: GridLearner, world: World) -> list[float]:
+    """The normalised return of the policy under each training pair."""
+    features = GridFeatures(world, [plain_sentence(pair) for pair in learner.pairs], learner.bag, config.grid)
+    known = [ground_truth(world, pair) for pair in learner.pairs]
     return [
-        normalized_return(world, policy_table(learner.behaviour_policy, sight, i), true.reward, bounds=true.bounds)
+        normalized_return(world, policy_table(learner.behaviour_policy, features, i), true.reward, bounds=true.bounds)
         for i, true in enumerate(known)
     ]
 
 
 def measure(config: Config, learner: GridLearner, layouts: Sequence[Layout], pairs: Sequence[Pair]) -> list[Measures]:
-    """Every layout with every pair, one at a time."""
-    return [_measure(config, learner, world_of(layout), pair) for layout in layouts for pair in pairs]
+    """Measure every pair in every layout."""
+    return [_measure(config, learner, layout_world(layout), pair) for layout in layouts for pair in pairs]
 
 
 def _measure(config: Config, learner: GridLearner, world: World, pair: Pair) -> Measures:
-    true, tables = truth(world, pair), learned_tables(config, learner, world, pair)
+    true, tables = ground_truth(world, pair), learned_tables(config, learner, world, pair)
     swapped = learned_tables(config, learner, world, Pair(pair.avoid, pair.goal)).reward
     agent, score = reoptimise(world, tables.reward), state_mean(tables.reward)
     policy, cloning, reoptimised = (
@@ -138,7 +136,7 @@ def _measure(config: Config, learner: GridLearner, world: World, pair: Pair) -> 
 
 
 def means(measures: Sequence[Measures]) -> dict[str, float]:
-    """The mean of each measure over layouts and goals; nan only where it is nan everywhere."""
+    """The mean of each measure over layouts and goals without nan; nan only if all are nan."""
     names = [field.name for field in fields(Measures) if field.name != "pair"]
     table = np.array([[getattr(one, name) for name in names] for one in measures])
     known = np.isfinite(table)

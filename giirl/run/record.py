@@ -1,4 +1,4 @@
-"""Demonstrations by a person in a visible Chrome window."""
+"""Recording of demonstrations by a person in a visible Chrome window."""
 
 from __future__ import annotations
 
@@ -15,13 +15,16 @@ from giirl_core.types import Episode, EpisodeSpec, Purpose, page_seed
 
 
 def record(tasks: Sequence[str], per_task: int, seed: int, display: Display) -> list[Episode]:
-    """Show page after page until all are done, or until Ctrl-C or the window's end; what was finished is returned."""
+    """Show `per_task` pages of each task, and return the finished episodes.
+
+    Ctrl-C or closing the window ends the recording early. ValueError without a screen.
+    """
     for task in tasks:
         page_url(task)
         if task.startswith("flight."):
-            raise ValueError(f"{task} cannot be recorded: its site lies in a frame, wanted a task of one page")
+            raise ValueError(f"{task} cannot be recorded: its site is in a frame, wanted a task with a single page")
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ValueError("there is no screen: DISPLAY is not set, wanted a desktop, or one that xvfb-run gives")
+        raise ValueError("there is no screen: DISPLAY is not set, wanted a desktop or xvfb-run")
     pages = [
         EpisodeSpec(task=task, seed=page_seed(Purpose.DEMONSTRATE, seed, index))
         for task in tasks
@@ -32,7 +35,7 @@ def record(tasks: Sequence[str], per_task: int, seed: int, display: Display) -> 
 
 
 def watch(recorder: Recorder, pages: Sequence[EpisodeSpec], display: Display) -> Iterator[Episode]:
-    """The finished episodes, failures among them."""
+    """Record each page in turn; yields the finished episodes, failed ones included."""
     for number, page in enumerate(pages, start=1):
         where = f"{page.task} {number}/{len(pages)}"
         try:

@@ -1,4 +1,4 @@
-"""Everything in one thread and no Ray: same seed, same bytes."""
+"""The serial runtime: everything in one thread, without Ray. Same seed, same bytes."""
 
 from __future__ import annotations
 
@@ -8,81 +8,79 @@ from pathlib import Path
 
 from actors.agents import PolicyAgent
 from actors.browser import open_browser
-from actors.rollouts import Schedule, play
+from actors.rollouts import play_pages
+from giirl.run.throughput import StreamState
 from giirl_core.config import Config
 from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.parameters import load_net
 from giirl_core.nets.reward import build_policy, build_reward
-from giirl_core.types import Episode, Purpose, Weights
+from giirl_core.types import Episode, Purpose
+from giirl_core.weights import Weights
+
+RUNTIME = "runtime.json"  # in a checkpoint
 
 
 class SerialRuntime:
-    """Plays when asked, scores what it played, waits for nobody."""
+    """Plays a batch of episodes when the learner takes one, and scores it at once."""
 
     def __init__(self, config: Config, metrics: Metrics, resume: Path | None) -> None:
         self._config, self._metrics = config, metrics
         self._browser = open_browser(config, metrics)
-        self._chooser = PolicyAgent(
+        self._agent = PolicyAgent(
             build_policy(config), load_vectors(config.net.vectors), sampled_actions=config.sampled_actions
         )
         self._reward = build_reward(config)
         self._reward_version = 0
-        self._played = 0  # episodes of each task
+        self._played = 0  # pages of each task so far
         if resume is not None:
-            self._played = json.loads((resume / "runtime.json").read_text())["played"]
+            self._played = json.loads((resume / RUNTIME).read_text())["played"]
 
     def publish(self, policy: Weights, reward: Weights) -> None:
-        self._chooser.load(policy)
+        self._agent.load(policy)
         load_net(self._reward.net, reward)
         self._reward_version = reward.version
 
     def take(self, episodes: int) -> list[Episode]:
-        """At least `episodes`, all begun and ended in this call; of every task equally many, but for goals held out."""
+        """At least `episodes`, the same number of each task, all started and finished in this call.
+
+        Episodes with a held-out goal are dropped; more are then played in their place.
+        """
         finished: list[Episode] = []
         while len(finished) < episodes:
             finished += [e for e in self._play() if not is_held_out(e.trajectory.goal, self._config.held_out_goals)]
         return finished
 
     def _play(self) -> list[Episode]:
-        quota = self._config.quota
-        schedule = Schedule(
-            self._config.tasks,
-            self._browser.tabs,
-            purpose=Purpose.TRAIN,
-            run_seed=self._config.seed,
-            first=self._played,
-            quota=quota,
+        pages, first = self._config.quota, self._played
+        self._played += pages
+        finished = play_pages(
+            self._config, self._browser, self._agent, Purpose.TRAIN, pages, self._metrics, first=first
         )
-        self._played += quota
-        rounds = play(
-            self._browser,
-            self._chooser,
-            schedule,
-            step_limit=self._config.step_limit,
-            metrics=self._metrics,
-        )
-        finished = [episode for some in rounds for episode in some]
         rewards = self._reward.score([episode.trajectory for episode in finished])
         return [
             replace(episode, trajectory=episode.trajectory.with_rewards(scored, self._reward_version))
             for episode, scored in zip(finished, rewards, strict=True)
         ]
 
+    def stream(self) -> StreamState:
+        """Nothing is stale or idle where everything is played when it is taken."""
+        return StreamState()
+
     def addresses(self) -> dict[str, str]:
-        """Nobody else to scrape."""
+        """There are no other processes."""
         return {}
 
     def save(self, folder: Path) -> None:
-        """Which pages come next."""
-        (folder / "runtime.json").write_text(json.dumps({"played": self._played}))
+        """Write which pages come next."""
+        (folder / RUNTIME).write_text(json.dumps({"played": self._played}))
 
     def committed(self) -> None:
-        """Nothing is under way between two steps."""
+        """Nothing to do: no episode is in flight between two steps."""
 
     def drain(self) -> None:
-        """Nobody has anything to hand over."""
+        """Nothing to do: there are no other processes."""
 
     def close(self) -> None:
         self._browser.close()

@@ -1,4 +1,4 @@
-"""A run from config to result: demonstrations, Algorithm 1, checkpoints, evaluation."""
+"""A run on web pages from config to result: demonstrations, training, checkpoints, evaluation."""
 
 from __future__ import annotations
 
@@ -14,59 +14,76 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
-from giirl.run.demonstrations import gather
+from giirl.run.demonstrations import collect_demonstrations
 from giirl.run.evaluate import evaluate
 from giirl.run.folder import RunFolder
 from giirl.run.serial import SerialRuntime
+from giirl.run.throughput import StreamState, Throughput, format_rates
 from giirl.run.workers import WorkersRuntime
 from giirl.signals import Stopped, raise_if, stopping
 from giirl.statistics import WINDOW, lowest_window
+from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.config_file import dump_config
 from giirl_core.metrics import Metrics, write_targets
 from giirl_core.progress import Display, Job
-from giirl_core.types import Episode, Trajectory, Weights
-from learner.algorithms import ALGORITHMS
+from giirl_core.types import Episode, Trajectory
+from giirl_core.weights import Weights
+from learner.algorithms import LOOPS
 from learner.checkpoint import latest_checkpoint, save_checkpoint
+from learner.devices import learner_threads
 from learner.learner import Learner
 
-COUNTS = "counts.json"  # of a checkpoint
-REWARDING = ("giirl", "frozen")  # algorithms that end with a learned reward
+COUNTS = "counts.json"  # in a checkpoint
 
 
 class Runtime(Protocol):
-    """Whoever plays: in this thread, in Ray on this machine, or in a cluster."""
+    """Plays and scores episodes: in this thread, in processes on this machine, or in a Ray cluster."""
 
-    def publish(self, policy: Weights, reward: Weights) -> None: ...
+    def publish(self, policy: Weights, reward: Weights) -> None:
+        """Use these weights from now on. The first call starts what plays."""
 
-    def take(self, episodes: int) -> list[Episode]: ...
+    def take(self, episodes: int) -> list[Episode]:
+        """At least so many new episodes, with rewards; an empty list when the run should stop."""
 
-    def addresses(self) -> dict[str, str]: ...
+    def stream(self) -> StreamState:
+        """How the stream of episodes does."""
+        ...
 
-    def save(self, folder: Path) -> None: ...
+    def addresses(self) -> dict[str, str]:
+        """Metrics addresses "host:port" of the other processes, by name."""
 
-    def committed(self) -> None: ...
+    def save(self, folder: Path) -> None:
+        """Write the runtime's part of a checkpoint."""
 
-    def drain(self) -> None: ...
+    def committed(self) -> None:
+        """The last `save` is on the disk."""
 
-    def close(self) -> None: ...
+    def drain(self) -> None:
+        """Stop playing and collect what is finished."""
+
+    def close(self) -> None:
+        """End all processes and close the browser."""
 
 
 def train(config: Config, folder: RunFolder, resume: Path | None, display: Display) -> dict[str, Any]:
-    """Run to the end, evaluate, and return the result; Stopped after Ctrl-C or SIGTERM, with a checkpoint saved."""
+    """Train to the end, evaluate, and return the result.
+
+    Raises Stopped after Ctrl-C or SIGTERM, with a checkpoint saved.
+    """
     since_s = time.monotonic()
     metrics, stop = Metrics(), Event()
-    torch.set_num_threads(1)  # the nets are small, and Chrome wants the other cores
+    torch.set_num_threads(learner_threads(config))
     own = metrics.serve(config.metrics.host, config.metrics.port)
     try:
         if resume is None:
-            folder.save_demonstrations(gather(config, metrics, display))
+            folder.save_demonstrations(collect_demonstrations(config, metrics, display))
         demonstrations = [episode.trajectory for episode in folder.load_demonstrations()]
         learner = Learner(config, demonstrations, metrics)
         if resume is not None:
             learner.load(resume)
-        elif config.algorithm == "frozen":
-            learner.take_reward(reward_of_run(Path(config.reward_from)))
+        elif ALGORITHMS[config.algorithm].reward == "frozen":
+            learner.load_reward(reward_of_run(Path(config.reward_from)))
         else:
             learner.bc_warmup()
         session = Session(config, folder, learner, metrics, stop, own, display)
@@ -85,12 +102,13 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
         "training_episodes": session.episodes,
         "demonstrations": {task: sum(d.task == task for d in demonstrations) for task in config.tasks},
         "lowest_last_third": session.lowest_last_third(),
+        "flow": {**session.throughput.total(), "service_reward_share": learner.discriminator.service_share},
         "parameters_sha256": learner.hash(),
     }
 
 
 class Session:
-    """Algorithm 1 under way: feeds it rollouts, publishes what it learns, reports, saves."""
+    """The source of rollouts and the observer of one training loop: publishes weights, reports and saves."""
 
     def __init__(
         self,
@@ -106,17 +124,18 @@ class Session:
         self._stop, self._own_address, self._display = stop, own_address, display
         self._runtime: Runtime | None = None
         self._job: Job | None = None
-        self._fresh: list[Episode] = []
-        self._whole = True  # nothing is half done: this may be saved
+        self._rollouts: list[Episode] = []  # of the current step
+        self._consistent = True  # False between take and observe, when a checkpoint would lose rollouts
         self._targets: dict[str, str] = {}
         self._recent = {task: deque[int](maxlen=WINDOW) for task in config.tasks}
+        self.throughput = Throughput()
         self._since_s = time.monotonic()
-        self.seconds_before = 0.0  # of the sessions that this one resumes
-        self.env_steps = 0  # of the episodes that the learner took
+        self.seconds_before = 0.0  # of the sessions before this one was resumed
+        self.env_steps = 0  # in the episodes that the learner took
         self.episodes = 0
 
     def learn(self, resume: Path | None) -> None:
-        """Go from the learner's version to `iterations`."""
+        """Train from the learner's version to `iterations`, and return when the runtime is closed."""
         config, learner = self._config, self._learner
         self._folder.cut_curve(learner.version)
         if resume is not None:
@@ -126,44 +145,47 @@ class Session:
         if learner.version >= config.iterations:
             return
         with self._display.busy(f"starting the {config.runtime} runtime"):
-            self._runtime = open_runtime(config, self._folder, self._metrics, self._stop, resume, self._save_if_whole)
+            save = self._save_if_consistent
+            self._runtime = open_runtime(config, self._folder, self._metrics, self._stop, resume, save)
         try:
             with self._display.busy("starting actors and reward service"):
                 self._runtime.publish(*learner.weights())
-            self._tell_targets()
+            self._update_targets()
             if resume is None:
-                self._save()  # from here on the run can be resumed
-            self._display.say(f"success is that of the last {WINDOW} episodes of {', '.join(config.tasks)}")
+                self._save()  # now the run can be resumed
+            self._display.say(f"success: over the last {WINDOW} episodes of {', '.join(config.tasks)}")
             with self._display.job("training", config.iterations, learner.version) as self._job:
-                ALGORITHMS[config.algorithm](config, learner, self, self._steps(), self._observe)
+                LOOPS[config.algorithm](config, learner, self, self._steps(), self._observe)
             raise_if(self._stop)
         except Stopped:
             self._runtime.drain()
             self._save()
             raise
         except RuntimeError as error:
-            if self._whole:
+            if self._consistent:
                 self._save()
             saved = latest_checkpoint(self._folder.checkpoints).name
             raise RuntimeError(
-                f"{error}; {saved} is saved, to go on: giirl train --resume {self._folder.path}"
+                f"{error}; {saved} is saved, to resume: giirl train --resume {self._folder.path}"
             ) from error
         finally:
             self._runtime.close()
-            write_targets(self._folder.targets, self._folder.path.name, {})  # nobody is there to be scraped any more
+            write_targets(self._folder.targets, self._folder.path.name, {})  # there is no process to scrape any more
 
     def take(self, episodes: int) -> list[Trajectory]:
-        """Rollouts for Algorithm 1. Their outcomes stay here, for the report."""
+        """Rollouts for the training loop. Their outcomes stay here and are only reported."""
         assert self._runtime is not None
-        self._fresh = self._runtime.take(episodes)
-        if not self._fresh:
+        with self.throughput.waiting():
+            self._rollouts = self._runtime.take(episodes)
+        if not self._rollouts:
             raise Stopped
-        self._whole = False
-        told = self._config.algorithm == "true_reward"
-        return [pay_true(episode) if told else episode.trajectory for episode in self._fresh]
+        self._consistent = False
+        if ALGORITHMS[self._config.algorithm].reward == "environment":
+            return [with_env_reward(episode) for episode in self._rollouts]
+        return [episode.trajectory for episode in self._rollouts]
 
     def lowest_last_third(self) -> dict[str, float | None]:
-        """Per task, the lowest success over WINDOW sampled episodes in a row in the last third of training."""
+        """For each task, the lowest success of WINDOW consecutive training episodes in the last third of the run."""
         points = [p for p in self._folder.points() if p["step"] > 2 * self._config.iterations / 3]
         return {
             task: lowest_window([bool(o) for p in points for o in p["outcomes"].get(task, [])], WINDOW)
@@ -177,23 +199,25 @@ class Session:
             yield step
 
     def _observe(self, step: int, stats: dict[str, float]) -> None:
-        """Publish, report and, when it is due, save."""
+        """Publish the weights, append to the curve, and save when a checkpoint is due."""
         assert self._runtime is not None
         assert self._job is not None
-        self._learner.version, self._whole = step + 1, True
+        self._learner.version, self._consistent = step + 1, True
         self._metrics.policy_version.set(step + 1)
         self._metrics.reward_version.set(step + 1)
-        self.env_steps += sum(len(episode.trajectory) for episode in self._fresh)
-        self.episodes += len(self._fresh)
+        self.env_steps += sum(len(episode.trajectory) for episode in self._rollouts)
+        self.episodes += len(self._rollouts)
         outcomes: dict[str, list[int]] = {task: [] for task in self._config.tasks}
-        for episode in self._fresh:
+        for episode in self._rollouts:
             outcomes[episode.trajectory.task].append(int(episode.outcome.success))
-        self._folder.append_curve(
-            {**self._counts(), "outcomes": outcomes, **{k: round(v, 4) for k, v in stats.items()}}
-        )
+        lags = [step - episode.trajectory.policy_version for episode in self._rollouts]
+        self.throughput.add(lags, sum(len(episode.trajectory) for episode in self._rollouts), self._runtime.stream())
+        rates = self.throughput.recent()
+        numbers = {k: round(v, 4) for k, v in stats.items()}
+        self._folder.append_curve({**self._counts(), "outcomes": outcomes, **numbers, "flow": rates})
         self._runtime.publish(*self._learner.weights())
-        self._job.advance(1, self._note(outcomes))
-        self._tell_targets()
+        self._job.advance(1, f"{self._recent_success(outcomes)}; {format_rates(rates)}")
+        self._update_targets()
         if (step + 1) % self._config.checkpoint_every == 0 or step + 1 == self._config.iterations:
             self._save()
 
@@ -202,8 +226,8 @@ class Session:
         step = self._learner.version
         return {"step": step, "env_steps": self.env_steps, "episodes": self.episodes, "seconds": seconds}
 
-    def _note(self, outcomes: dict[str, list[int]]) -> str:
-        """How well the policy does as it explores, task by task."""
+    def _recent_success(self, outcomes: dict[str, list[int]]) -> str:
+        """Success of the exploring policy over the last WINDOW episodes, task by task."""
         for task, some in outcomes.items():
             self._recent[task].extend(some)
         return (
@@ -223,13 +247,13 @@ class Session:
         save_checkpoint(self._folder.checkpoints, self._learner.version, write, keep=self._config.keep_checkpoints)
         runtime.committed()
 
-    def _save_if_whole(self) -> None:
-        """While it waits for rollouts, and has none that only this process knows."""
-        if self._whole:
+    def _save_if_consistent(self) -> None:
+        """Save while waiting for rollouts, unless that would lose some."""
+        if self._consistent:
             self._save()
 
-    def _tell_targets(self) -> None:
-        """Write where to scrape when that has changed, and say it once."""
+    def _update_targets(self) -> None:
+        """Write the metrics addresses when they have changed, and print new ones."""
         assert self._runtime is not None
         targets = {"learner": self._own_address, **self._runtime.addresses()}
         if targets != self._targets:
@@ -240,15 +264,15 @@ class Session:
 
 
 def reward_of_run(path: Path) -> Weights:
-    """The reward that an earlier run learned; ValueError when it learned none."""
+    """The learned reward of a run, from its last checkpoint; ValueError if it learned none."""
     folder, config = RunFolder.open(path)
-    if config.algorithm not in REWARDING:
-        raise ValueError(f"{path} learned no reward: its algorithm is {config.algorithm!r}, wanted {REWARDING[0]!r}")
+    if not ALGORITHMS[config.algorithm].has_learned_reward:
+        raise ValueError(f"{path} learned no reward: its algorithm is {config.algorithm!r}, wanted 'giirl'")
     return folder.weights(latest_checkpoint(folder.checkpoints), "reward")
 
 
-def pay_true(episode: Episode) -> Trajectory:
-    """The trajectory with the page's own sparse reward: the baseline that is told what the others have to learn."""
+def with_env_reward(episode: Episode) -> Trajectory:
+    """The trajectory with the sparse reward of the page, for the baseline that is trained on it."""
     rewards = np.zeros(len(episode.trajectory), dtype=np.float32)
     rewards[-1] = episode.outcome.raw_reward
     return replace(episode.trajectory, rewards=rewards)
@@ -262,7 +286,7 @@ def open_runtime(
     resume: Path | None,
     save: Callable[[], None],
 ) -> Runtime:
-    """The runtime that the config names. Ray is imported only where it is used."""
+    """The runtime that the config names. Ray is imported only when it is used."""
     if config.runtime == "serial":
         return SerialRuntime(config, metrics, resume)
     from giirl_core.processes.ray_platform import RayPlatform

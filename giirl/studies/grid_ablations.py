@@ -1,4 +1,4 @@
-"""What each part of the method is worth in the thesis's setting, and what the shape of its reward is worth."""
+"""Ablations of the method in the thesis's setting, and fresh learners on the learned and on the true reward."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from giirl_core.progress import Display
 from gridcraft.world import build_world, true_reward
 
 FRESH_ITERATIONS = 150
-SCALES = (0.1, 1.0, 10.0)  # of the true reward, in units of the learned one's clip
+SCALES = (0.1, 1.0, 10.0)  # factors of the true reward, in units of the learned reward's clip
 
 
 def gridcraft_ablations(seeds: int, out: Path, display: Display) -> dict[str, Any]:
-    """A row for each part of the method left out or exchanged; means over seeds and goals, and the worst of them."""
+    """A row for each part of the method that is left out or replaced: means and worst cases over seeds and goals."""
     rows = {}
     for name in ABLATIONS:
         configs = [ablated(seed, name) for seed in range(seeds)]
@@ -30,16 +30,16 @@ def gridcraft_ablations(seeds: int, out: Path, display: Display) -> dict[str, An
         found = [
             one for c, r in zip(configs, runs, strict=True) for one in measure(c, r.learner, layouts, r.learner.pairs)
         ]
-        whole = summary(found)
+        result = summary(found)
         rows[name] = {
-            "return_over_optimal": whole["mean_return_over_optimal"],
+            "return_over_optimal": result["mean_return_over_optimal"],
             "late_minimum": min(run.late_minimum for run in runs),
-            "reoptimised_over_optimal": whole["reoptimised_over_optimal"],
+            "reoptimised_over_optimal": result["reoptimised_over_optimal"],
             "reoptimised_lowest": min(one.reoptimised for one in found),
-            "spearman": whole["spearman"],
-            "pearson": whole["pearson"],
-            "epic": whole["epic"],
-            "avoid_ranked_below_neutral": whole["avoid"]["ranked_below_neutral"],
+            "spearman": result["spearman"],
+            "pearson": result["pearson"],
+            "epic": result["epic"],
+            "avoid_ranked_below_neutral": result["avoid"]["ranked_below_neutral"],
         }
     display.table(_table(rows))
     return {"ablations": rows, "steps_to_optimal": shaped_against_sparse(seeds, display), "seeds": seeds}
@@ -54,7 +54,7 @@ def _table(rows: dict[str, dict[str, float]]) -> Table:
 
 
 def shaped_against_sparse(seeds: int, display: Display) -> dict[str, Any]:
-    """Environment steps to optimal of fresh learners: on each seed's learned reward, and on the true one scaled."""
+    """Environment steps until fresh learners are optimal, on each seed's learned reward and on the scaled true one."""
     configs = [thesis(seed) for seed in range(seeds)]
     runs = learn_all("rewards to freeze", configs, display)
     learned, sparse = [], []
@@ -65,7 +65,7 @@ def shaped_against_sparse(seeds: int, display: Display) -> dict[str, Any]:
             true = [true_reward(world, pair) * clip for pair in learner.pairs]
             rewards = [frozen, *([scale * r for r in true] for scale in SCALES)]
             shaped, *others = (
-                steps_to_optimal(config, learner, world, some, most_iterations=FRESH_ITERATIONS) for some in rewards
+                steps_to_optimal(config, learner, world, some, max_iterations=FRESH_ITERATIONS) for some in rewards
             )
             learned.append(shaped)
             sparse.append(others)

@@ -1,4 +1,4 @@
-"""The figures of the tabular chapter again: learned, measured, drawn, and put into one JSON each."""
+"""The figures of the tabular chapter: trained, measured and drawn, with one result each."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from giirl_core.config import Config
 from giirl_core.progress import Display
 from gridcraft.instructions import Pair, plain_sentence
 
-SENTENCES = (Pair("green", "blue"), Pair("red", "blue"))  # those of figure 4.3
+SENTENCES = (Pair("green", "blue"), Pair("red", "blue"))  # of figure 4.3
 
 
 def figure_4_3(seeds: int, out: Path, display: Display) -> dict[str, Any]:
-    """The map and the learned reward under two sentences, drawn for the first seed, measured for every one."""
+    """The map and the learned reward under two sentences: drawn for the first seed, measured for all."""
     runs = learn_all("figure 4.3", [thesis(seed) for seed in range(seeds)], display)
     layouts = layouts_of(thesis().grid)
     drawn = out / "figure-4.3.png"
@@ -30,7 +30,7 @@ def figure_4_3(seeds: int, out: Path, display: Display) -> dict[str, Any]:
 
 
 def figure_4_4(seeds: int, out: Path, display: Display) -> dict[str, Any]:
-    """Return against steps for every goal of the grid, a band over the seeds."""
+    """Return against environment steps for every goal of the grid, with a band over the seeds."""
     runs = learn_all("figure 4.4", [thesis(seed) for seed in range(seeds)], display)
     layouts = layouts_of(thesis().grid)
     found = [measure(thesis(seed), run.learner, layouts, run.learner.pairs) for seed, run in enumerate(runs)]
@@ -54,7 +54,7 @@ def figure_4_4(seeds: int, out: Path, display: Display) -> dict[str, Any]:
 
 
 def learn_all(what: str, configs: Sequence[Config], display: Display) -> list[GridRun]:
-    """A run of each config, one after the other."""
+    """Train one run for each config."""
     runs = []
     with display.job(what, len(configs)) as job:
         for config in configs:

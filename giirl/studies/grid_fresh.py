@@ -1,4 +1,4 @@
-"""What a frozen reward is worth to a policy that starts from nothing: shaped against sparse."""
+"""How fast a fresh policy learns on a frozen reward, to compare shaped rewards with sparse ones."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from learner.grid.learner import GridLearner, GridSoftQ
 from learner.grid.nets import policy_table
 from learner.grid.steps import GridSource, Steps, random_steps
 
-OPTIMAL = 0.99
+OPTIMAL = 0.99  # normalised return that counts as optimal
 
 
 def steps_to_optimal(
@@ -24,29 +24,32 @@ def steps_to_optimal(
     world: World,
     rewards: Sequence[NDArray[np.float64]],
     *,
-    most_iterations: int,
+    max_iterations: int,
 ) -> int | None:
-    """Environment steps until a fresh soft Q-learner's mean return reaches OPTIMAL on rewards frozen at [S, A] a pair.
+    """Environment steps until the mean return of a fresh soft Q-learner reaches OPTIMAL on frozen rewards.
 
-    None where it does not within `most_iterations`. Plain sentences only: sentence i says pair i.
+    `rewards` has one table [S, A] for each pair. Only plain sentences are used: sentence i means pair i. None if
+    `max_iterations` are not enough.
     """
     torch.manual_seed(config.seed)
     rng = np.random.default_rng([config.seed, 1])
     goals = learner.goals.tolist()
-    chance = random_steps(world, goals, config.grid.random_episodes, rng, None)
-    policy = GridSoftQ(config, learner.features, learner.goals, chance, rng)
-    source = GridSource(world, learner.features, learner.goals, policy.net, rng)
+    random = random_steps(world, goals, config.grid.random_episodes, rng, None)
     frozen = torch.tensor(np.stack(rewards), dtype=torch.float32)
-    true = [true_reward(world, pair) for pair in learner.pairs]
 
     def reward_fn(steps: Steps) -> torch.Tensor:
-        asked: torch.Tensor = frozen[steps.goal, steps.state, steps.action]
-        return asked
+        reward: torch.Tensor = frozen[steps.goal, steps.state, steps.action]
+        return reward
 
-    for _ in range(most_iterations):
+    policy = GridSoftQ(config, learner.features, learner.goals, random, rng, reward_fn)
+    source = GridSource(world, learner.features, learner.goals, policy.net, rng)
+    true = [true_reward(world, pair) for pair in learner.pairs]
+    for _ in range(max_iterations):
         rollouts = source.take(config.rollout_batch)
-        policy.update(rollouts, reward_fn(rollouts), reward_fn)
-        got = [normalized_return(world, policy_table(policy.net, learner.features, i), r) for i, r in enumerate(true)]
-        if np.mean(got) >= OPTIMAL:
+        policy.update(rollouts, reward_fn(rollouts))
+        returns = [
+            normalized_return(world, policy_table(policy.net, learner.features, i), r) for i, r in enumerate(true)
+        ]
+        if np.mean(returns) >= OPTIMAL:
             return learner.random_env_steps + source.env_steps
     return None

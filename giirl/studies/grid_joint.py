@@ -1,4 +1,4 @@
-"""Many layouts and goals at once, and what carries over to layouts and sentences never seen."""
+"""The study of many layouts and goals at once, and of transfer to unseen layouts and sentences."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from giirl_core.progress import Display
 from gridcraft.layouts import Layout, random_layout
 
 CLONING_UPDATES = 1000
-FEW = (1, 3)  # demonstrations per layout and goal, beside those of the joint setting
-RENAME = 0.5  # of what the reward learns from, where colours are renamed
+FEW = (1, 3)  # demonstrations per layout and goal, in addition to the joint setting
+RENAME_PROB = 0.5  # of a sample of the discriminator, where colours are renamed
 
 Trained = Sequence[tuple[Config, GridRun]]
 
 
 def gridcraft_joint(seeds: int, out: Path, display: Display) -> dict[str, Any]:
-    """The whole study: seen and unseen layouts, unseen pairs, few demonstrations, shaped against sparse."""
+    """The whole study: trained and unseen layouts, unseen pairs, few demonstrations, shaped and sparse rewards."""
     size = joint().grid.random_layouts
     unseen = [random_layout(UNSEEN_LAYOUT_SEED + number) for number in range(size)]
     trained = _train("joint", [joint(seed) for seed in range(seeds)], display)
@@ -37,13 +37,13 @@ def gridcraft_joint(seeds: int, out: Path, display: Display) -> dict[str, Any]:
     demonstrations[str(joint().grid.demonstrations)] = _compared(found)
     return {
         **summary(_measured(trained)),
-        "unseen_layouts": {**_carried(found), "avoid": summary(found)["avoid"]},
+        "unseen_layouts": {**_transfer(found), "avoid": summary(found)["avoid"]},
         "unseen_pairs": _unseen_pairs("4 of 12 pairs unseen", [held_out_pairs(s) for s in range(seeds)], display),
         "unseen_pairs_of_three": {
             name: _unseen_pairs(
                 f"2 of 6 pairs unseen, {name}", [held_out_of_three(s, r) for s in range(seeds)], display
             )
-            for name, r in (("plain", 0.0), ("colours_renamed", RENAME))
+            for name, r in (("plain", 0.0), ("colours_renamed", RENAME_PROB))
         },
         "demonstrations": demonstrations,
         "steps_to_optimal": shaped_against_sparse(seeds, display),
@@ -55,7 +55,7 @@ def gridcraft_joint(seeds: int, out: Path, display: Display) -> dict[str, Any]:
 
 
 def _train(what: str, configs: Sequence[Config], display: Display) -> Trained:
-    """GIIRL, and cloning from the same demonstrations with a net of the same shape."""
+    """Train GIIRL, and clone from the same demonstrations with a net of the same shape."""
     runs = learn_all(what, configs, display)
     for config, run in zip(configs, runs, strict=True):
         for _ in range(CLONING_UPDATES):
@@ -64,7 +64,7 @@ def _train(what: str, configs: Sequence[Config], display: Display) -> Trained:
 
 
 def _measured(trained: Trained, layouts: Sequence[Layout] = ()) -> list[Measures]:
-    """Every run in these layouts, or else in its own, under the pairs it learned from."""
+    """Measure every run in these layouts, by default its own, under the pairs that it trained on."""
     return [
         one
         for config, run in trained
@@ -73,10 +73,10 @@ def _measured(trained: Trained, layouts: Sequence[Layout] = ()) -> list[Measures
 
 
 def _unseen_pairs(what: str, configs: Sequence[Config], display: Display) -> dict[str, float]:
-    """What was learned from the other pairs, measured on those held out."""
+    """Train without the held-out pairs, and measure on them."""
     pairs = [read_pair(text) for text in configs[0].grid.held_out]
     trained = _train(what, configs, display)
-    return _carried([one for c, run in trained for one in measure(c, run.learner, layouts_of(c.grid), pairs)])
+    return _transfer([one for c, run in trained for one in measure(c, run.learner, layouts_of(c.grid), pairs)])
 
 
 def _few(seeds: int, count: int, unseen: Sequence[Layout], display: Display) -> dict[str, float]:
@@ -85,11 +85,11 @@ def _few(seeds: int, count: int, unseen: Sequence[Layout], display: Display) -> 
 
 
 def _compared(found: Sequence[Measures]) -> dict[str, float]:
-    """The reward re-optimised, and cloning."""
+    """Normalised returns: re-optimised on the reward, learned policy, cloning."""
     mean = means(found)
     return {"giirl": mean["reoptimised"], "policy": mean["policy"], "cloning": mean["cloning"]}
 
 
-def _carried(found: Sequence[Measures]) -> dict[str, float]:
+def _transfer(found: Sequence[Measures]) -> dict[str, float]:
     mean = means(found)
     return {"reward_reoptimised": mean["reoptimised"], "policy": mean["policy"], "cloning": mean["cloning"]}

@@ -1,4 +1,4 @@
-"""The settings of the tabular chapter's studies, found with other seeds and layouts than those they are reported on."""
+"""The settings of the tabular chapter's studies. They were tuned on other seeds and layouts than are reported."""
 
 from __future__ import annotations
 
@@ -8,16 +8,21 @@ from typing import Any
 from giirl_core.config import CloningConfig, Config, DiscriminatorConfig, GridConfig, PolicyConfig
 from gridcraft.layouts import COLOURS
 
-REPORT_SEEDS = 10  # seeds 0 to 9; those from 100 on were used to tune
+REPORT_SEEDS = 10  # seeds 0 to 9; seeds from 100 on were used for tuning
 JOINT_SEEDS = 5
 ABLATION_SEEDS = 3
-UNSEEN_LAYOUT_SEED = 2000  # layouts never trained on; those from 5000 on were used to tune
-UNSEEN_PAIRS = ("red-green", "green-blue", "blue-yellow", "yellow-red")  # every colour once as each
+UNSEEN_LAYOUT_SEED = 2000  # of layouts that are never trained on; seeds from 5000 on were used for tuning
+UNSEEN_PAIRS = (
+    "red-green",
+    "green-blue",
+    "blue-yellow",
+    "yellow-red",
+)  # each colour is goal once and avoided once
 UNSEEN_OF_THREE = ("red-green", "green-blue")
 
 
 def thesis(seed: int = 0) -> Config:
-    """One layout with three regions and all the goals it has: figures 4.3 and 4.4."""
+    """One layout with three regions, and all its goals (figures 4.3 and 4.4)."""
     return Config(
         world="gridcraft",
         seed=seed,
@@ -43,7 +48,7 @@ def thesis(seed: int = 0) -> Config:
 
 
 def joint(seed: int = 0, layout_seed: int = 1000) -> Config:
-    """Eight random layouts and all ordered pairs of three colours at once, told apart by what is around."""
+    """Eight random layouts and all ordered pairs of three colours at once. Cells differ by what surrounds them."""
     return Config(
         world="gridcraft",
         seed=seed,
@@ -60,35 +65,36 @@ def joint(seed: int = 0, layout_seed: int = 1000) -> Config:
     )
 
 
-def _quick(whole: Config, grid: GridConfig) -> Config:
-    """Enough for the reward, which is what is measured there; its policy stays behind."""
-    policy = dataclasses.replace(whole.policy, updates=12)
-    return dataclasses.replace(whole, grid=grid, policy=policy, iterations=80)
+def _shorter(config: Config, grid: GridConfig) -> Config:
+    """Fewer updates: enough for the reward, which is what is measured, but not for the policy."""
+    policy = dataclasses.replace(config.policy, updates=12)
+    return dataclasses.replace(config, grid=grid, policy=policy, iterations=80)
 
 
 def few(seed: int, demonstrations: int) -> Config:
-    """The joint setting from so many demonstrations per layout and goal."""
-    whole = joint(seed)
-    grid = dataclasses.replace(whole.grid, demonstrations=demonstrations)
-    return _quick(whole, grid)
+    """The joint setting with so many demonstrations per layout and goal."""
+    full = joint(seed)
+    grid = dataclasses.replace(full.grid, demonstrations=demonstrations)
+    return _shorter(full, grid)
 
 
 def held_out_pairs(seed: int) -> Config:
-    """Four colours and 8 of their 12 ordered pairs: each colour is still a goal twice, and avoided twice."""
-    whole = joint(seed)
-    grid = dataclasses.replace(whole.grid, colours=COLOURS, held_out=UNSEEN_PAIRS)
-    return _quick(whole, grid)
+    """Four colours and 8 of their 12 ordered pairs: each colour is twice the goal and twice avoided."""
+    full = joint(seed)
+    grid = dataclasses.replace(full.grid, colours=COLOURS, held_out=UNSEEN_PAIRS)
+    return _shorter(full, grid)
 
 
 def held_out_of_three(seed: int, rename: float) -> Config:
-    """Three colours and 4 of their 6 ordered pairs; `rename` of what the reward learns from has its colours swapped.
+    """Three colours and 4 of their 6 ordered pairs; colours are renamed with probability `rename` in each sample.
 
-    Four sentences do not settle what each of six words means: "to red" is only ever said with "avoid blue". Either the
-    nets' own preference for simple readings settles it, or that colours are alike, which is what `rename` tells them.
+    Four sentences do not determine the meaning of six words: "to red" occurs only together with "avoid blue". The
+    meaning then depends on the inductive bias of the nets, or on the knowledge that colours are interchangeable, which
+    renaming adds.
     """
-    whole = joint(seed)
-    quick = _quick(whole, dataclasses.replace(whole.grid, held_out=UNSEEN_OF_THREE))
-    return dataclasses.replace(quick, discriminator=dataclasses.replace(quick.discriminator, rename_prob=rename))
+    full = joint(seed)
+    config = _shorter(full, dataclasses.replace(full.grid, held_out=UNSEEN_OF_THREE))
+    return dataclasses.replace(config, discriminator=dataclasses.replace(config.discriminator, rename_prob=rename))
 
 
 ABLATIONS: dict[str, dict[str, dict[str, Any]]] = {
@@ -121,7 +127,7 @@ ABLATIONS: dict[str, dict[str, dict[str, Any]]] = {
 
 
 def ablated(seed: int, name: str) -> Config:
-    """The thesis's setting with one thing changed."""
-    whole = thesis(seed)
-    parts = {part: dataclasses.replace(getattr(whole, part), **new) for part, new in ABLATIONS[name].items()}
-    return dataclasses.replace(whole, **parts)
+    """The thesis's setting with one change."""
+    config = thesis(seed)
+    parts = {part: dataclasses.replace(getattr(config, part), **new) for part, new in ABLATIONS[name].items()}
+    return dataclasses.replace(config, **parts)

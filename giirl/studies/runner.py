@@ -1,43 +1,41 @@
-"""Many runs from a few settings: each a `giirl train` of its own, never done twice, resumed where it broke off."""
+"""Runs the variants and seeds of a study, each as a `giirl train` process. Finished runs are reused, others resumed."""
 
 from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-import json
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from giirl.run.folder import RunFolder
-from giirl.statistics import Score
+from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
-from giirl_core.config_file import changed, dump_config, load_config
+from giirl_core.config_file import dump_config, load_config
+from giirl_core.files import write_json
 from giirl_core.progress import Display
 from learner.checkpoint import LATEST, latest_checkpoint
 
 POLL_S = 1.0
 VERSION = importlib.metadata.version("giirl")
-REWARD_EVAL = "reward_eval.json"  # in a run's folder: what its reward answered
-TRANSFER = "transfer.json"
+REWARD_EVAL = "reward_eval.json"  # in a run's folder: measures of its reward
+TRANSFER = "transfer.json"  # in a run's folder: success on tasks that it did not train on
 GOAL_SWAP_TASK, GOAL_SWAP_PAGES = "click-button", 500
-STREAK = 50  # episodes of a task in a row
-POINTS = 60  # of a curve that is kept
-STOP_S = 60.0  # for a run that was told to stop, to save and end
+STOP_TIMEOUT_S = 60.0  # for a stopped run to save and end
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variant:
-    """One way to run: settings by key=value. With `reward_of` it trains on the reward of that variant's same seed.
+    """Settings of a study's runs, as key=value, in addition to those that all its variants share.
 
-    `elsewhere` are tasks that its policy never saw, and is measured on all the same.
+    With `reward_of`, a run trains on the frozen reward of that variant's run with the same seed. `transfer_tasks` are
+    further tasks to evaluate the policy on.
     """
 
     name: str
@@ -48,7 +46,7 @@ class Variant:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Planned:
-    """One run of a study: its folder is named after its settings and the version of GIIRL."""
+    """One run of a study. The name of its folder is a hash of its settings and the version of GIIRL."""
 
     variant: Variant
     seed: int
@@ -61,7 +59,10 @@ class Planned:
 
 
 def plan(base: Sequence[str], variants: Sequence[Variant], seeds: Sequence[int], root: Path) -> list[Planned]:
-    """Every run of a study, those that need another's reward behind it. ValueError for a setting that is none."""
+    """All runs of a study; a run that needs the reward of another one comes after it.
+
+    ValueError for an unknown setting.
+    """
     planned: dict[tuple[str, int], Planned] = {}
     for variant in variants:
         for seed in seeds:
@@ -75,9 +76,10 @@ def plan(base: Sequence[str], variants: Sequence[Variant], seeds: Sequence[int],
 
 
 def run_all(runs: Sequence[Planned], *, jobs: int, display: Display) -> None:
-    """Do those that are not done, `jobs` at a time; RuntimeError, with all others done, when some failed.
+    """Do the runs that are not done, `jobs` at a time.
 
-    Ctrl-C lets each save first; the same command goes on from there.
+    If some fail, the others are finished first, then RuntimeError is raised. Ctrl-C stops all runs with a checkpoint;
+    the same command resumes them.
     """
     waiting = list({run.folder: run for run in runs if not run.done}.values())
     children: list[_Child] = []
@@ -95,7 +97,7 @@ def run_all(runs: Sequence[Planned], *, jobs: int, display: Display) -> None:
                         continue
                     children.remove(child)
                     if not child.run.done:
-                        failed.append(f"{child.name}: {child.last_words()}")
+                        failed.append(f"{child.name}: {child.last_line()}")
                         waiting = [run for run in waiting if run.config.reward_from != str(child.run.folder)]
         finally:
             _stop(children)
@@ -104,12 +106,12 @@ def run_all(runs: Sequence[Planned], *, jobs: int, display: Display) -> None:
 
 
 def _ready(waiting: Sequence[Planned]) -> list[Planned]:
-    """Those whose reward, if they follow another run's, has been learned."""
+    """The runs that need no other run's reward, or whose reward is already learned."""
     return [run for run in waiting if not (of := run.config.reward_from) or RunFolder(Path(of)).result.is_file()]
 
 
 class _Child:
-    """A run under way in a process of its own; what it says goes to a file beside its folder."""
+    """A run in a process of its own; its output goes to a file next to its folder."""
 
     def __init__(self, run: Planned) -> None:
         self.run, self.name = run, f"{run.variant.name}, seed {run.seed}"
@@ -121,22 +123,22 @@ class _Child:
         if (self._folder.checkpoints / LATEST).exists():
             command += ["--resume", str(run.folder)]
         else:
-            shutil.rmtree(run.folder, ignore_errors=True)  # of a run that was killed before its first checkpoint
+            shutil.rmtree(run.folder, ignore_errors=True)  # it was killed before its first checkpoint
             settings = run.folder.with_suffix(".json")
             self._folder.write(settings, dump_config(replace(run.config, run=str(run.folder))))
             command.append(str(settings))
         with self._log.open("wb") as log:
-            # A group of its own: Ctrl-C in the terminal is ours to pass on.
+            # Its own process group: Ctrl-C in the terminal reaches only this process, which stops the children itself.
             self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, process_group=0)
 
     def progress(self) -> int:
-        """Steps since the last look."""
+        """The number of iterations since the last call."""
         steps = len(self._folder.points())
         new, self._steps = steps - self._steps, steps
         return new
 
-    def last_words(self) -> str:
-        """What it had to say when it failed."""
+    def last_line(self) -> str:
+        """The last line of its output, or its exit status."""
         lines = self._log.read_text(errors="replace").split("\n")
         return next((line for line in reversed(lines) if line.strip()), f"exit status {self.process.returncode}")
 
@@ -144,7 +146,7 @@ class _Child:
 def _stop(children: Sequence[_Child]) -> None:
     for child in children:
         child.process.send_signal(signal.SIGINT)
-    deadline_s = time.monotonic() + STOP_S
+    deadline_s = time.monotonic() + STOP_TIMEOUT_S
     for child in children:
         try:
             child.process.wait(timeout=max(0.1, deadline_s - time.monotonic()))
@@ -153,7 +155,7 @@ def _stop(children: Sequence[_Child]) -> None:
 
 
 def evaluate_rewards(runs: Sequence[Planned], display: Display) -> None:
-    """Ask each learned reward, once, for other goals than the page's own."""
+    """Measure, once for each learned reward, whether it depends on the goal."""
     from giirl.analysis.goal_sensitivity import sensitivity
     from giirl.analysis.goal_swap import goal_swap
     from giirl.run.train import reward_of_run
@@ -161,17 +163,17 @@ def evaluate_rewards(runs: Sequence[Planned], display: Display) -> None:
 
     for run in runs:
         folder = RunFolder(run.folder)
-        if run.config.algorithm != "giirl" or (folder.path / REWARD_EVAL).exists():
+        if not ALGORITHMS[run.config.algorithm].learns_reward or (folder.path / REWARD_EVAL).exists():
             continue
         reward = reward_of_run(folder.path)
         found: dict[str, Any] = {"sensitivity": sensitivity(run.config, reward, GOAL_SWAP_PAGES, Metrics(), display)}
         if GOAL_SWAP_TASK in run.config.tasks:
             found["goal_swap"] = goal_swap(run.config, reward, GOAL_SWAP_TASK, GOAL_SWAP_PAGES, Metrics(), display)
-        folder.write_json(folder.path / REWARD_EVAL, found)
+        write_json(folder.path / REWARD_EVAL, found)
 
 
 def measure_transfer(runs: Sequence[Planned], display: Display) -> None:
-    """How policies do on tasks that they never saw, once."""
+    """Evaluate policies, once, on the tasks of their variant that they did not train on."""
     from giirl.run.evaluate import evaluate
     from giirl_core.metrics import Metrics
 
@@ -180,81 +182,4 @@ def measure_transfer(runs: Sequence[Planned], display: Display) -> None:
         if run.variant.transfer_tasks and not (folder.path / TRANSFER).exists():
             policy = folder.weights(latest_checkpoint(folder.checkpoints), "policy")
             config = replace(run.config, tasks=run.variant.transfer_tasks)
-            folder.write_json(folder.path / TRANSFER, evaluate(config, policy, Metrics(), display))
-
-
-def record(run: Planned, *, evaluates_reward: bool = False) -> dict[str, Any]:
-    """What a run that is done has to tell: its result, its curve, what its reward answered if `evaluates_reward`."""
-    folder = RunFolder(run.folder)
-    points = folder.points()
-    result: dict[str, Any] = json.loads(folder.result.read_text())
-    if run.variant.transfer_tasks:
-        result["tasks"] |= json.loads((folder.path / TRANSFER).read_text())
-    answers = folder.path / REWARD_EVAL
-    return {
-        "variant": run.variant.name,
-        "giirl": VERSION,
-        "settings": [one for one in changed(run.config) if not one.startswith("reward_from=")],
-        **({"reward_of": run.variant.reward_of} if run.variant.reward_of else {}),
-        **result,
-        **(json.loads(answers.read_text()) if evaluates_reward and answers.exists() else {}),
-        "episodes_to": {f"{share:g}": _reached(points, share, "episodes") for share in (0.95, 0.99)},
-        "env_steps_to": {f"{share:g}": _reached(points, share, "env_steps") for share in (0.95, 0.99)},
-        "curve": _shortened(points),
-    }
-
-
-def _recent(points: Sequence[dict[str, Any]]) -> list[dict[str, float | None]]:
-    """At every point, the success of the last STREAK training episodes of each task; None of fewer."""
-    last: dict[str, deque[int]] = {}
-    found = []
-    for point in points:
-        for task, outcomes in point["outcomes"].items():
-            last.setdefault(task, deque(maxlen=STREAK)).extend(outcomes)
-        found.append({task: sum(some) / STREAK if len(some) == STREAK else None for task, some in last.items()})
-    return found
-
-
-def _reached(points: Sequence[dict[str, Any]], share: float, unit: str) -> dict[str, int | None]:
-    """Per task, how many episodes or steps of all tasks went before STREAK of its own in a row reached `share`."""
-    reached: dict[str, int | None] = {}
-    for point, recent in zip(points, _recent(points), strict=True):
-        for task, success in recent.items():
-            if reached.setdefault(task, None) is None and success is not None and success >= share:
-                reached[task] = point[unit]
-    return reached
-
-
-def _shortened(points: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """At most POINTS of the curve, evenly."""
-    every = max(1, -(-len(points) // POINTS))
-    return [
-        {"env_steps": point["env_steps"], "episodes": point["episodes"], "success": recent}
-        for number, (point, recent) in enumerate(zip(points, _recent(points), strict=True), start=1)
-        if number % every == 0 or number == len(points)
-    ]
-
-
-def pooled(records: Sequence[dict[str, Any]], group: str = "") -> dict[str, dict[str, Any]]:
-    """Per task, the episodes of all seeds together, with the Wilson interval of those; `group` names a part of them."""
-    tasks: dict[str, dict[str, Any]] = {}
-    for task in records[0]["tasks"]:
-        rows = [record["tasks"][task] for record in records]
-        parts = [row[group] for row in rows] if group else rows
-        score = sum((_score(part["episodes"], part["success"]) for part in parts), Score(episodes=0, successes=0))
-        floor = sum((_score(r["random_episodes"], r["random"]) for r in rows), Score(episodes=0, successes=0))
-        low, high = score.interval()
-        tasks[task] = {
-            "episodes": score.episodes,
-            "success": round(score.success, 5),
-            "low": round(low, 5),
-            "high": round(high, 5),
-            "random": round(floor.success, 5),
-            "random_episodes": floor.episodes,
-            "worst_seed": min(part["success"] for part in parts),
-        }
-    return tasks
-
-
-def _score(episodes: int, success: float) -> Score:
-    return Score(episodes=episodes, successes=round(episodes * success))
+            write_json(folder.path / TRANSFER, evaluate(config, policy, Metrics(), display))

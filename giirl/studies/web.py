@@ -1,4 +1,4 @@
-"""The thesis's web chapter as studies: what is run for each table and figure, and for the questions beside them."""
+"""The studies of the web chapter: the variants for each table and figure of the thesis, and for further questions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NOISE_FRACTIONS = (0.1, 0.3)
 GIIRL = Variant(name="giirl")
 CLONING = Variant(name="cloning", changes=("algorithm=cloning",))
 TRUE_REWARD = Variant(name="true reward", changes=("algorithm=true_reward", "policy.entropy=0.006"))
-BARE_CLONING = Variant(  # same words and places, four times as long, at one rate: where it overfits, this shows it
+BARE_CLONING = Variant(  # no renaming or jitter, four times as long, constant rate: this shows overfitting
     name="cloning, nothing renamed, 1,200 updates",
     changes=(
         "algorithm=cloning",
@@ -24,7 +24,7 @@ BARE_CLONING = Variant(  # same words and places, four times as long, at one rat
         "iterations=1200",
     ),
 )
-PLAIN = (  # Algorithm 1 as the thesis has it, and GAIL's way to play against a discriminator
+PLAIN = (  # Algorithm 1 of the thesis; also how GAIL trains policy and discriminator
     "discriminator.rollouts=1",
     "discriminator.replay=0",
     "discriminator.policy_on_expert_states=0",
@@ -33,7 +33,7 @@ PLAIN = (  # Algorithm 1 as the thesis has it, and GAIL's way to play against a 
     "discriminator.rename_prob=0",
     "policy.sampled_actions=0",
 )
-AIRL = (  # its reward is made for alpha = 1, and its D is right for what the policy does today and for nothing else
+AIRL = (  # its reward assumes alpha = 1, and its D is correct only for actions of the current policy
     "discriminator.form=airl",
     "discriminator.rollouts=0.5",
     "discriminator.replay=0",
@@ -43,7 +43,7 @@ AIRL = (  # its reward is made for alpha = 1, and its D is right for what the po
     "policy.entropy=1",
     "policy.final_entropy=1",
 )
-AGILE = (  # a classifier of how episodes end
+AGILE = (  # a classifier of final steps
     "discriminator.replay=1",
     "discriminator.train_on=final_steps",
     "discriminator.reward=goal",
@@ -60,7 +60,7 @@ BASELINES = (
     Variant(name="IQ-Learn", changes=("algorithm=iq_learn", "soft_q.temperature=0.3")),
     TRUE_REWARD,
 )
-TUNED = (  # what each was tried with, on tuning seeds
+TUNED = (  # variant, setting, and the values that were tried on tuning seeds
     ("giirl", "policy.entropy", (0.15, 0.03)),
     ("plain Algorithm 1", "policy.entropy", (0.15, 0.03, 0.006)),
     ("GAIL", "policy.entropy", (0.15, 0.03, 0.006)),
@@ -79,7 +79,7 @@ NETS = (
     Variant(name="slower as the policy improves", changes=("discriminator.lr_schedule=accuracy",)),
     Variant(name="gradient penalty 1", changes=("discriminator.gradient_penalty=1",)),
 )
-DEFAULTS = (  # one thing changed at a time
+DEFAULTS = (  # one change at a time
     GIIRL,
     Variant(name="plain Algorithm 1", changes=PLAIN),
     Variant(
@@ -108,15 +108,15 @@ FOLLOWERS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
-    """What is run, for whom; `pages` are the fresh ones a task and seed that each policy is measured on."""
+    """The variants of a study and the settings that all share. `pages` per task and seed are used for evaluation."""
 
-    what: str
+    title: str
     variants: tuple[Variant, ...]
     settings: tuple[str, ...] = ()
     pages: int = 200
-    curves: bool = False  # whether success against environment steps is drawn
-    evaluates_reward: bool = False  # whether each learned reward is asked for other goals than the page's own
-    tuning: bool = False  # whether settings are chosen by it, so that its seeds are those for tuning
+    curves: bool = False  # draw success against environment steps
+    evaluates_reward: bool = False  # measure whether each learned reward depends on the goal
+    tuning: bool = False  # used to choose settings, on the seeds for tuning
 
 
 def _budgets() -> tuple[Variant, ...]:
@@ -125,48 +125,45 @@ def _budgets() -> tuple[Variant, ...]:
         for budget in BUDGETS
         for variant in (GIIRL, CLONING)
     ]
-    spoiled = [
+    noisy = [
         Variant(name=f"{variant.name}, {share:.0%} noise", changes=(*variant.changes, f"demos.noise_fraction={share}"))
         for share in NOISE_FRACTIONS
         for variant in (GIIRL, CLONING)
     ]
-    uninformed = Variant(  # spoilers act by chance, which a discriminator that has seen chance knows
+    uninformed = Variant(  # noise is random actions, which a discriminator with random negatives recognises
         name=f"giirl without random actions, {NOISE_FRACTIONS[-1]:.0%} noise",
         changes=("discriminator.random_actions=0", f"demos.noise_fraction={NOISE_FRACTIONS[-1]}"),
     )
-    return (*few, *spoiled, uninformed)
+    return (*few, *noisy, uninformed)
 
 
 def _tuning() -> tuple[Variant, ...]:
-    """Entropy weights of policies are in nats of reward: rewards of another size want other ones."""
+    """Entropy weights are in nats of reward, so rewards of another scale need other weights."""
     known = {variant.name: variant for variant in BASELINES}
-    tried = [
+    tuned = [
         Variant(name=f"{name}, {key} {value}", changes=(*known[name].changes, f"{key}={value}"))
         for name, key, values in TUNED
         for value in values
     ]
-    spoiled = (
-        *CLONING.changes,
-        f"demos.noise_fraction={NOISE_FRACTIONS[-1]}",
-    )  # where a rate that stays high might hurt
+    noisy = (*CLONING.changes, f"demos.noise_fraction={NOISE_FRACTIONS[-1]}")  # a constant learning rate may hurt here
     cloned = [
         Variant(
             name=f"cloning, {NOISE_FRACTIONS[-1]:.0%} noise, cloning.final_lr_fraction {value}",
-            changes=(*spoiled, f"cloning.final_lr_fraction={value}"),
+            changes=(*noisy, f"cloning.final_lr_fraction={value}"),
         )
         for value in (1.0, 0.1)
     ]
-    return (*tried, *cloned)
+    return (*tuned, *cloned)
 
 
 def _families() -> tuple[Variant, ...]:
-    """What is learned on one task of a family, taken to others: policies as they are, and the reward by itself."""
-    moves = {
+    """Transfer within families of tasks: of policies as they are, and of the reward with a fresh policy."""
+    transfers = {
         "click-button": ("click-link",),
         "click-checkboxes": ("click-checkboxes-large", "click-checkboxes-soft", "click-checkboxes-transfer"),
     }
     variants: list[Variant] = []
-    for source, targets in moves.items():
+    for source, targets in transfers.items():
         here = (f'tasks=["{source}"]',)
         learned = Variant(name=f"giirl on {source}", changes=here, transfer_tasks=targets)
         cloned = Variant(name=f"cloning on {source}", changes=(*here, *CLONING.changes), transfer_tasks=targets)
@@ -181,39 +178,34 @@ def _families() -> tuple[Variant, ...]:
 
 STUDIES = {
     "table-4.1": Study(
-        what="Success on the thesis's four web tasks", variants=(GIIRL,), pages=1000, evaluates_reward=True
+        title="Success on the thesis's four web tasks", variants=(GIIRL,), pages=1000, evaluates_reward=True
     ),
-    "figure-4.7": Study(what="True success while a reward is learned", variants=(GIIRL,), curves=True),
-    "figure-4.8": Study(what="GIIRL and cloning as they train", variants=(GIIRL, CLONING, BARE_CLONING), curves=True),
-    "meaning": Study(what="Whether the reward reads the instruction", variants=(GIIRL,), evaluates_reward=True),
-    "defaults": Study(what="What the defaults are worth", variants=DEFAULTS, evaluates_reward=True, tuning=True),
-    "baselines": Study(what="What GIIRL is compared with, on the same nets", variants=BASELINES, curves=True),
-    "tuning": Study(what="What the baselines were tried with", variants=_tuning(), tuning=True),
-    "budgets": Study(what="Few demonstrations, and spoiled ones", variants=_budgets()),
-    "frozen": Study(what="Fresh policies on the frozen reward", variants=FOLLOWERS, curves=True),
+    "figure-4.7": Study(title="True success while a reward is learned", variants=(GIIRL,), curves=True),
+    "figure-4.8": Study(title="GIIRL and cloning as they train", variants=(GIIRL, CLONING, BARE_CLONING), curves=True),
+    "meaning": Study(title="Whether the reward reads the instruction", variants=(GIIRL,), evaluates_reward=True),
+    "defaults": Study(title="The effect of each default", variants=DEFAULTS, evaluates_reward=True, tuning=True),
+    "baselines": Study(title="GIIRL and the baselines, on the same nets", variants=BASELINES, curves=True),
+    "tuning": Study(title="Tuning of the baselines", variants=_tuning(), tuning=True),
+    "budgets": Study(title="Few demonstrations, and noisy ones", variants=_budgets()),
+    "frozen": Study(title="Fresh policies on the frozen reward", variants=FOLLOWERS, curves=True),
     "held-out": Study(
-        what="Goals that training never saw",
+        title="Goals held out of training",
         variants=(GIIRL, CLONING, Variant(name="fresh policy, frozen reward", reward_of="giirl")),
         settings=('tasks=["click-button", "click-link", "enter-text"]', "held_out_goals=0.25"),
         pages=1000,
         evaluates_reward=True,
     ),
     "families": Study(
-        what="A reward moved within a family of tasks",
+        title="Transfer of a reward within a family of tasks",
         variants=_families(),
-        settings=(
-            "step_limit=20",
-            "net.adjacent_elements=true",
-        ),  # twelve boxes to tick, whose labels stand beside them
+        settings=("step_limit=20", "net.adjacent_elements=true"),  # up to twelve check boxes with labels next to them
     ),
-    "nets": Study(
-        what="What each part of the nets is worth, in policy and reward alike", variants=NETS, evaluates_reward=True
-    ),
+    "nets": Study(title="Ablations of the nets, in policy and reward alike", variants=NETS, evaluates_reward=True),
 }
 
 
 def base_settings(study: Study, demos: Path | None) -> tuple[str, ...]:
-    """Settings of all its runs: people's recordings from a folder, at most 32 a task, or else as many scripted ones."""
+    """The settings of all runs: at most 32 demonstrations per task, human recordings if a folder is given."""
     source: tuple[str, ...] = ("demos.source=scripted",)
     if demos is not None:
         source = ("demos.source=recordings", f"demos.path={demos}", f'demos.collections=["{RECORDINGS}"]')

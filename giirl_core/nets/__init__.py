@@ -1,1 +1,1 @@
-"""Networks of policy and reward, the features they read, word vectors, and parameters as bytes."""
+"""The policy net and the reward net, their input features, word vectors, and serialisation of parameters."""

@@ -1,4 +1,4 @@
-"""Word vectors: the GloVe table, and random vectors for tests."""
+"""Word vectors: the GloVe table, and a table of random vectors for tests."""
 
 from __future__ import annotations
 
@@ -13,20 +13,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 PADDING = 0  # row of padding: the zero vector
-UNKNOWN = 1  # row of all words outside the vocabulary, also zero; goal-overlap features match these words instead
+UNKNOWN = 1  # row of all words outside the vocabulary: the zero vector; only overlap features tell such words apart
 FIRST_WORD = 2  # first row of a word in the vocabulary
 
 
 class Vectors(Protocol):
-    """A table of word vectors. Row 0 is padding and row 1 any unknown word; both are zero."""
+    """A table of V word vectors. Row PADDING and row UNKNOWN are zero."""
 
     table: NDArray[np.float32]  # [V, D]
 
-    def row(self, word: str) -> int: ...  # UNKNOWN when the table does not have the word
+    def row(self, word: str) -> int: ...  # UNKNOWN if the word is not in the vocabulary
+
+    def __hash__(self) -> int: ...
 
 
 class GloVe:
-    """GloVe 6B (Pennington, Socher and Manning 2014): 400,000 words, 50 dimensions, memory-mapped, by frequency."""
+    """GloVe 6B (Pennington, Socher and Manning 2014): 400,000 words by frequency, 50 dimensions. Case-insensitive.
+
+    The table is memory-mapped. ValueError if the package is not installed or its files do not fit together.
+    """
 
     def __init__(self) -> None:
         words, path = _glove_files()
@@ -34,8 +39,8 @@ class GloVe:
         self.table: NDArray[np.float32] = np.load(path, mmap_mode="c")
         if self.table.shape != (len(words), 50):
             raise ValueError(f"{path} has shape {self.table.shape}, wanted {(len(words), 50)}")
-        # Rows 0 and 1 are needed for padding and unknown words: their two words, the most frequent ones, replace the
-        # two rarest.
+        # Rows 0 and 1 are needed for padding and unknown words. Their words, the two most frequent ones, move to the
+        # last two rows and replace the two rarest words.
         words[-FIRST_WORD:] = words[:FIRST_WORD]
         self.table[-FIRST_WORD:] = self.table[:FIRST_WORD]
         self.table[:FIRST_WORD] = 0.0

@@ -1,4 +1,4 @@
-"""The nets: a pointer policy and a reward, each with an encoder of its own."""
+"""The policy net and the reward net. Each has its own encoder."""
 
 from __future__ import annotations
 
@@ -7,157 +7,174 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from giirl_core.config import NetConfig
-from giirl_core.nets.batch import ActionBatch, Batch
-from giirl_core.nets.encoder import MASKED_LOGIT, Encoder, Encoding
+from giirl_core.nets.action_batch import ActionBatch
+from giirl_core.nets.batch import MASKED_LOGIT, Batch
+from giirl_core.nets.encoder import Encoder, Encoding
 from giirl_core.nets.language import Vectors
 from giirl_core.types import LEARNABLE_VERBS, NO_SPAN, Verb
 
-VERBS = len(LEARNABLE_VERBS)  # CLICK and TYPE, which are 0 and 1: the nets learn these alone
+VERBS = len(LEARNABLE_VERBS)  # the nets learn only CLICK and TYPE, which have the numbers 0 and 1
 
 
 class PolicyNet(nn.Module):
-    """pi_theta(a | s, g): a pointer over (element, verb), then over the first and last word to copy; and V(s, g).
+    """pi_theta(a | s, g) and V(s, g), as a pointer network over the elements of a page and the tokens of a goal.
 
-    A page is encoded once, `seen = net.encoder(batch)`; then any number of actions can be drawn or evaluated on it.
+    An action is sampled in three parts: the pair (element, verb), then, for TYPE, the first and the last goal token to
+    type. A page is encoded once, `encoding = net.encoder(batch)`. Any number of actions on it can then be sampled and
+    evaluated.
     """
 
     def __init__(self, vectors: Vectors, config: NetConfig) -> None:
         super().__init__()
         width = config.width
         self.encoder = Encoder(vectors, config)
-        self.act = nn.Sequential(nn.Linear(2 * width, width), nn.ReLU(), nn.Linear(width, VERBS))
-        self.start = nn.Linear(2 * width, width)
-        self.end = nn.Linear(2 * width, width)
-        self.value = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 1))
+        self.pair_head = nn.Sequential(nn.Linear(2 * width, width), nn.ReLU(), nn.Linear(width, VERBS))
+        self.start_query = nn.Linear(2 * width, width)
+        self.end_query = nn.Linear(2 * width, width)
+        self.value_head = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 1))
 
-    def pairs(self, seen: Encoding) -> Tensor:
-        """[B, E * verbs] log-probabilities of (element, verb) pairs; click needs a leaf, type a field."""
-        batch = seen.batch
-        hidden = linear_parts(self.act[0], seen.elements, (seen.summary, batch.element_page))
-        logits = functional.embedding(batch.row, self.act[2](torch.relu(hidden)))
+    @property
+    def device(self) -> torch.device:
+        """The device of the parameters."""
+        return self.encoder.table.device
+
+    def pair_logp(self, encoding: Encoding) -> Tensor:
+        """[B, E * verbs] log-probabilities of (element, verb) pairs: click a leaf, or type into a field."""
+        batch = encoding.batch
+        first, last = self.pair_head[0], self.pair_head[2]
+        assert isinstance(first, nn.Linear)
+        weight, bias = first.weight, first.bias
+        width = encoding.elements.shape[1]
+        # first(cat[element, summary]), with the part of the summary computed only once for each page
+        shared = functional.linear(encoding.summary, weight[:, width:])
+        hidden = functional.linear(encoding.elements, weight[:, :width], bias)
+        hidden = torch.relu(hidden + functional.embedding(batch.element_page, shared))
+        logits = functional.embedding(batch.row, last(hidden))
         legal = torch.stack([batch.clickable, batch.typable], dim=2)
         out: Tensor = logits.masked_fill(~legal, MASKED_LOGIT).flatten(1).log_softmax(1)
         return out
 
-    def starts(self, seen: Encoding, element: Tensor) -> Tensor:
-        """[B, M, L] log-probabilities of the first word, given the field that takes it."""
-        field = seen.element(element)
-        query = self.start(torch.cat([field, seen.summary.unsqueeze(1).expand_as(field)], dim=2))
-        return _point(query, seen.words, seen.token_mask.unsqueeze(1))
+    def start_logp(self, encoding: Encoding, element: Tensor) -> Tensor:
+        """[B, M, L] log-probabilities of the first token to type into the fields `element` [B, M]."""
+        field = encoding.element(element)
+        query = self.start_query(torch.cat([field, encoding.summary.unsqueeze(1).expand_as(field)], dim=2))
+        return _pointer_logp(query, encoding.goal_tokens, encoding.token_mask.unsqueeze(1))
 
-    def ends(self, seen: Encoding, element: Tensor, start: Tensor) -> Tensor:
-        """[B, M, L] log-probabilities of the last word, which is not before the first."""
-        query = self.end(torch.cat([seen.element(element), seen.token(start)], dim=2))
-        after = torch.arange(seen.token_mask.shape[1], device=start.device) >= start.unsqueeze(2)
-        return _point(query, seen.words, seen.token_mask.unsqueeze(1) & after)
+    def end_logp(self, encoding: Encoding, element: Tensor, start: Tensor) -> Tensor:
+        """[B, M, L] log-probabilities of the last token, which is not before the first one, `start` [B, M]."""
+        query = self.end_query(torch.cat([encoding.element(element), encoding.token(start)], dim=2))
+        after = torch.arange(encoding.token_mask.shape[1], device=start.device) >= start.unsqueeze(2)
+        return _pointer_logp(query, encoding.goal_tokens, encoding.token_mask.unsqueeze(1) & after)
 
-    def sample(self, seen: Encoding, uniform: Tensor | None) -> tuple[ActionBatch, Tensor]:
-        """M actions for each page and their log-probabilities [B, M], nats.
+    def sample(self, encoding: Encoding, uniform: Tensor | None) -> tuple[ActionBatch, Tensor]:
+        """M actions for each page, and their log-probabilities [B, M], nats.
 
-        `uniform` [B, M, 3] in [0, 1) drives the draws; None takes the one likeliest action.
+        `uniform` [B, M, 3] in [0, 1) holds the random numbers. With None, the result is the greedy action (M = 1): the
+        most probable pair, then the most probable first token, then the most probable last token.
         """
-        draws = (None, None, None) if uniform is None else uniform.unbind(2)
-        pairs = self.pairs(seen)
-        pair = pairs.argmax(1, keepdim=True) if draws[0] is None else draw(pairs, draws[0])
+        u_pair, u_start, u_end = (None, None, None) if uniform is None else uniform.unbind(2)
+        pairs = self.pair_logp(encoding)
+        pair = pairs.argmax(1, keepdim=True) if u_pair is None else sample_categorical(pairs, u_pair)
         verb, element = pair % VERBS, pair // VERBS
         logp, typing = pairs.gather(1, pair), verb == Verb.TYPE
         start = end = torch.full_like(pair, NO_SPAN)
         pages = typing.any(1).nonzero().squeeze(1)
         if len(pages):
-            some, element, typed = seen.take(pages), element[pages], typing[pages]
-            starts = self.starts(some, element)
-            first = starts.argmax(2) if draws[1] is None else draw(starts, draws[1][pages].unsqueeze(2)).squeeze(2)
-            ends = self.ends(some, element, first)
-            last = ends.argmax(2) if draws[2] is None else draw(ends, draws[2][pages].unsqueeze(2)).squeeze(2)
+            subset, element, typed = encoding.select(pages), element[pages], typing[pages]
+            starts = self.start_logp(subset, element)
+            first = starts.argmax(2) if u_start is None else _sample_each(starts, u_start[pages])
+            ends = self.end_logp(subset, element, first)
+            last = ends.argmax(2) if u_end is None else _sample_each(ends, u_end[pages])
             logp = logp.index_add(0, pages, torch.where(typed, _at(starts, first) + _at(ends, last), 0.0))
             start = start.index_copy(0, pages, torch.where(typed, first, NO_SPAN))
             end = end.index_copy(0, pages, torch.where(typed, last, NO_SPAN))
         return ActionBatch(verb=verb, element=pair // VERBS, start=start, end=end), logp
 
-    def evaluate(self, seen: Encoding, actions: ActionBatch) -> tuple[Tensor, Tensor]:
+    def evaluate(self, encoding: Encoding, actions: ActionBatch) -> tuple[Tensor, Tensor]:
         """log pi(a | s, g) [B, M] and the entropy of pi(. | s, g) [B], nats.
 
-        The entropy of the copied words is that at the field of the first action, if it types.
+        The entropy is that of the (element, verb) pair. If the first action types, the entropies of its first and last
+        token are added, given the element (and the first token) of that action.
         """
-        pairs = self.pairs(seen)
+        pairs = self.pair_logp(encoding)
         logp, entropy = pairs.gather(1, actions.element * VERBS + actions.verb), _entropy(pairs)
         typing = actions.verb == Verb.TYPE
         pages = typing.any(1).nonzero().squeeze(1)
         if len(pages):
-            some, element, typed = seen.take(pages), actions.element[pages], typing[pages]
+            subset, element, typed = encoding.select(pages), actions.element[pages], typing[pages]
             start, end = actions.start[pages].clamp(min=0), actions.end[pages].clamp(min=0)
-            starts = self.starts(some, element)
-            ends = self.ends(some, element, start)
+            starts = self.start_logp(subset, element)
+            ends = self.end_logp(subset, element, start)
             logp = logp.index_add(0, pages, torch.where(typed, _at(starts, start) + _at(ends, end), 0.0))
-            copied = torch.where(typed[:, 0], _entropy(starts[:, 0]) + _entropy(ends[:, 0]), 0.0)
-            entropy = entropy.index_add(0, pages, copied)
+            span_entropy = torch.where(typed[:, 0], _entropy(starts[:, 0]) + _entropy(ends[:, 0]), 0.0)
+            entropy = entropy.index_add(0, pages, span_entropy)
         return logp, entropy
 
-    def state_value(self, seen: Encoding) -> Tensor:
+    def state_value(self, encoding: Encoding) -> Tensor:
         """V(s, g) [B]."""
-        value: Tensor = self.value(seen.summary).squeeze(1)
+        value: Tensor = self.value_head(encoding.summary).squeeze(1)
         return value
 
 
 class RewardNet(nn.Module):
-    """The logit of D_phi(s, a | g): a page as its encoder reads it, with the action marked, ending in one number."""
+    """The logit of D_phi(s, a | g), log D - log(1 - D)."""
 
     def __init__(self, vectors: Vectors, config: NetConfig) -> None:
         super().__init__()
         width = config.width
         self.encoder = Encoder(vectors, config)
         self.verb = nn.Embedding(VERBS, 16)
-        self.absent = nn.Parameter(torch.zeros(2, width))  # nothing typed; typed words that the goal lacks
+        # In place of the first and last token: row 0 if nothing is typed, row 1 if the goal lacks the typed text.
+        self.absent = nn.Parameter(torch.zeros(2, width))
         self.head = nn.Sequential(nn.Linear(4 * width + 16, width), nn.ReLU(), nn.Linear(width, 1))
 
     def forward(self, batch: Batch, actions: ActionBatch) -> Tensor:
-        """[B, M] logits, log D - log(1 - D), of M actions on each page."""
+        """[B, M] logits of M actions on each page."""
         out: Tensor = self.head(self.encode(self.encoder(batch), actions)).squeeze(2)
         return out
 
-    def encode(self, seen: Encoding, actions: ActionBatch) -> Tensor:
-        """[B, M, 4 * width + 16]: the action's element, the page and goal, the words copied, the verb."""
-        copied = (actions.start >= 0).unsqueeze(2)
+    def encode(self, encoding: Encoding, actions: ActionBatch) -> Tensor:
+        """[B, M, 4 * D + 16] the inputs of `head`: element, summary, first and last token, and verb of each action."""
+        in_goal = (actions.start >= 0).unsqueeze(2)
         absent = self.absent[(actions.verb == Verb.TYPE).long()]
-        element = seen.element(actions.element)
+        element = encoding.element(actions.element)
         first, last = absent, absent
-        if bool(copied.any()):
-            first = torch.where(copied, seen.token(actions.start.clamp(min=0)), absent)
-            last = torch.where(copied, seen.token(actions.end.clamp(min=0)), absent)
-        return torch.cat(
-            [element, seen.summary.unsqueeze(1).expand_as(element), first, last, self.verb(actions.verb)], dim=2
-        )
+        if bool(in_goal.any()):
+            first = torch.where(in_goal, encoding.token(actions.start.clamp(min=0)), absent)
+            last = torch.where(in_goal, encoding.token(actions.end.clamp(min=0)), absent)
+        summary = encoding.summary.unsqueeze(1).expand_as(element)
+        return torch.cat([element, summary, first, last, self.verb(actions.verb)], dim=2)
 
 
-def linear_parts(layer: nn.Linear, rows: Tensor, shared: tuple[Tensor, Tensor]) -> Tensor:
-    """layer(cat[rows, per_page[page]]) without building that: rows [N, D], and (per_page [B, D], page [N])."""
-    per_page, page = shared
-    width = rows.shape[1]
-    common = functional.linear(per_page, layer.weight[:, width:])
-    return functional.linear(rows, layer.weight[:, :width], layer.bias) + functional.embedding(page, common)
+def sample_categorical(logp: Tensor, uniform: Tensor) -> Tensor:
+    """[..., M] column indices sampled from log-probabilities [..., C], by inverting the cumulative distribution.
 
-
-def draw(logp: Tensor, uniform: Tensor) -> Tensor:
-    """[..., M] the column of logp [..., C] where the cumulative probability passes `uniform` [..., M]."""
-    passed = torch.searchsorted(logp.exp().cumsum(-1), uniform.contiguous(), right=True)
+    `uniform` [..., M] in [0, 1) holds the random numbers.
+    """
+    index = torch.searchsorted(logp.exp().cumsum(-1), uniform.contiguous(), right=True)
     legal = (logp > MASKED_LOGIT / 2).long()
-    last = logp.shape[-1] - 1 - legal.flip(-1).argmax(-1, keepdim=True)  # rounding may leave the sum below 1
-    return torch.minimum(passed, last)
+    last_legal = logp.shape[-1] - 1 - legal.flip(-1).argmax(-1, keepdim=True)
+    return torch.minimum(index, last_legal)  # through rounding, the sum of all probabilities may stay below `uniform`
+
+
+def _sample_each(logp: Tensor, uniform: Tensor) -> Tensor:
+    """[B, M] one index for each of B x M distributions [B, M, C]."""
+    return sample_categorical(logp, uniform.unsqueeze(2)).squeeze(2)
 
 
 def _at(logp: Tensor, index: Tensor) -> Tensor:
-    """[B, M]: logp[b, m, index[b, m]]."""
+    """[B, M] logp[b, m, index[b, m]]."""
     return logp.gather(2, index.unsqueeze(2)).squeeze(2)
 
 
-def _point(query: Tensor, keys: Tensor, mask: Tensor) -> Tensor:
-    """[B, M, L] log-probabilities of the keys [B, L, D] under the queries [B, M, D]."""
+def _pointer_logp(query: Tensor, keys: Tensor, mask: Tensor) -> Tensor:
+    """[B, M, L] log-probabilities of pointing at the keys [B, L, D] with the queries [B, M, D]."""
     scores = torch.bmm(query, keys.transpose(1, 2)) / query.shape[2] ** 0.5
     logp: Tensor = scores.masked_fill(~mask, MASKED_LOGIT).log_softmax(2)
     return logp
 
 
 def _entropy(logp: Tensor) -> Tensor:
-    """Over the last axis, nats."""
+    """[B] the entropy of log-probabilities [B, C], nats."""
     entropy: Tensor = -(logp.exp() * logp).sum(1)
     return entropy

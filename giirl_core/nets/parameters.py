@@ -1,4 +1,4 @@
-"""Serialisation of nets and optimisers to safetensors bytes. Loading checks everything before it changes anything."""
+"""Serialisation of nets and optimisers as safetensors bytes. Loading checks all parameters before it changes any."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import torch
 from safetensors import SafetensorError
 from torch import nn
 
-from giirl_core.types import Weights
+from giirl_core.weights import Weights
 
 
 def seal_net(net: nn.Module, version: int) -> Weights:
-    """The parameters of a net, with the learner step `version` and a checksum."""
+    """The parameters of a net as safetensors bytes, with a checksum. `version` is the learner step."""
     return Weights.seal(version, safetensors.torch.save(net.state_dict()))
 
 
@@ -37,17 +37,17 @@ def load_net(net: nn.Module, weights: Weights) -> None:
 
 
 def hash_nets(*nets: nn.Module) -> str:
-    """The sha256 of all parameters, in hex; equal nets have equal hashes."""
+    """The sha256 of the names and values of all parameters, in hex."""
     digest = hashlib.sha256()
     for net in nets:
         for name, tensor in sorted(net.state_dict().items()):
             digest.update(name.encode())
-            digest.update(tensor.numpy().tobytes())
+            digest.update(tensor.cpu().numpy().tobytes())
     return digest.hexdigest()
 
 
 def seal_optimiser(optimiser: torch.optim.Optimizer) -> bytes:
-    """The optimiser's moments of every parameter, without the hyperparameters: those come from the config."""
+    """The optimiser's state of each parameter (the moments of Adam), without the hyperparameters of the config."""
     moments = optimiser.state_dict()["state"]
     blob: bytes = safetensors.torch.save(
         {f"{index}.{name}": tensor for index, parts in moments.items() for name, tensor in parts.items()}

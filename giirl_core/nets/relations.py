@@ -1,4 +1,4 @@
-"""How the elements of a page stand to each other: in the tree, on the screen, and as labels and rows."""
+"""Relations of the elements of a page: in the tree, on the screen, labels of fields, and rows of tables."""
 
 from __future__ import annotations
 
@@ -8,117 +8,123 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from giirl_core.nets.layout import SCREEN_RELATIONS
 from giirl_core.types import Page
 
-TREE = 11  # kinds of relation in the tree
-SCREEN = 8  # kinds of relation on the screen
-RELATIONS = TREE * SCREEN
-NONE = -1
-FIELD_TAGS = ("input_", "textarea", "select")
-LABEL_DISTANCE = 5  # steps through the tree from a field to its label at most
-OVERLAP = 0.6  # share of two sizes by which centres may differ in one line or column
-SLANT = 0.1  # share by which a way across and one down may differ on a diagonal
-# From (level, upright, to the left, above) to over it, left, right, above, below, elsewhere.
-_SCREENS = np.array(
-    [0 if n & 12 == 12 else 1 + (not n & 2) if n & 8 else 3 + (not n & 1) if n & 4 else 5 for n in range(16)], np.uint8
-)
-DOWN = 3.0  # a vertical pixel between a field and its label counts as so many horizontal ones
+NONE = -1  # no label, no group
+LABEL_STEPS = 5  # the largest distance of a field from its label in the tree
+LINE = 0.6  # two elements are in one line or column if their centres differ by less than this fraction of their sizes
+DIAGONAL = 0.1  # two elements are on a diagonal if horizontal and vertical distance differ by less than this fraction
+VERTICAL_WEIGHT = 3.0  # a vertical pixel between a field and its label counts as this many horizontal ones
+BELOW_PX, BELOW_COST_PX = 4.0, 50.0  # labels are seldom below their field
+_FIELDS = ("input_", "textarea", "select")  # prefixes of tags of fields
+_NO_LABELS = frozenset({"button", "option", "textarea"})  # tags whose text is no label
+# Relations on the screen, of the element in the column to the element in the row of a table [E, E].
+_SAME_PLACE, _LEFT, _RIGHT, _ABOVE, _BELOW, _ELSEWHERE, _FALLING, _RISING = range(SCREEN_RELATIONS)
+
+
+def _screen_relation(code: int) -> int:
+    """The relation for the bits 8 same line, 4 same column, 2 to the left, 1 above."""
+    if code & 12 == 12:
+        return _SAME_PLACE
+    if code & 8:
+        return _LEFT if code & 2 else _RIGHT
+    if code & 4:
+        return _ABOVE if code & 1 else _BELOW
+    return _ELSEWHERE
+
+
+_SCREEN = np.array([_screen_relation(code) for code in range(16)], dtype=np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
 class Structure:
-    """Of a page of E elements."""
+    """The relations of the E elements of a page."""
 
-    relations: NDArray[np.uint8]  # [E, E] what column is to row, in [0, RELATIONS)
-    label: NDArray[np.int64]  # [E] row of the text that names a field, NONE for other elements
-    group: NDArray[np.int64]  # [E] row of the nearest ancestor that repeats, as a row of a table does; NONE
-    rank: NDArray[np.int64]  # [E] from 1, among the elements that look alike
-    alike: NDArray[np.int64]  # [E] how many look alike
+    relations: NDArray[np.uint8]  # [E, E] relation of the element in the column to that in the row, below RELATIONS
+    label: NDArray[np.int64]  # [E] row of the text that labels a field, NONE for other elements
+    group: NDArray[np.int64]  # [E] row of the nearest repeated ancestor, e.g. a row of a table; NONE without one
+    rank: NDArray[np.int64]  # [E] from 1, among the elements with the same tag and first class
+    alike: NDArray[np.int64]  # [E] number of elements with the same tag and first class
 
 
 def structure_of(page: Page) -> Structure:
-    """The relations of a page's elements."""
-    count = len(page)
-    parent = page.parent.astype(np.int64)
-    looks = [(tag, classes.split(" ", 1)[0]) for tag, classes in zip(page.tag, page.classes, strict=True)]
+    """The relations of the elements of a page."""
+    parents = page.parent.tolist()
+    kinds = [(tag, classes.split(" ", 1)[0]) for tag, classes in zip(page.tag, page.classes, strict=True)]
     siblings: dict[tuple[int, tuple[str, str]], int] = {}
-    seen: dict[tuple[str, str], int] = {}
-    rank = np.zeros(count, dtype=np.int64)
-    for row, at in enumerate(parent.tolist()):
-        key = (at, looks[row])
-        siblings[key] = siblings.get(key, 0) + 1
-        rank[row] = seen[looks[row]] = seen.get(looks[row], 0) + 1
-    group = np.full(count, NONE, dtype=np.int64)
-    for row, at in enumerate(parent.tolist()):
-        if at >= 0:
-            group[row] = at if siblings[(int(parent[at]), looks[at])] > 1 else group[at]
-    tree, distance = _tree(page.parent.tobytes())
+    counts: dict[tuple[str, str], int] = {}
+    ranks = []
+    for parent, kind in zip(parents, kinds, strict=True):
+        siblings[parent, kind] = siblings.get((parent, kind), 0) + 1
+        counts[kind] = counts.get(kind, 0) + 1
+        ranks.append(counts[kind])
+    group: list[int] = []
+    for parent in parents:
+        repeated = parent >= 0 and siblings[parents[parent], kinds[parent]] > 1
+        group.append(parent if repeated else group[parent] if parent >= 0 else NONE)
+    tree, steps = _tree(page.parent.astype(np.int16).tobytes())
     left, top, width, height = page.box.astype(np.float32).T
-    across, down = _offsets(left + width / 2), _offsets(top + height / 2)  # from row to column
+    x, y = left + width / 2, top + height / 2
+    right, down = x - x[:, None], y - y[:, None]  # from the row to the column
     wide, high = (width + width[:, None]) / 2, (height + height[:, None]) / 2
-    aside, apart = np.abs(across), np.abs(down)
-    code = (apart < high * OVERLAP) * np.uint8(8) + (aside < wide * OVERLAP) * np.uint8(4)
-    code += (across < 0) * np.uint8(2) + (down < 0) * np.uint8(1)
-    screen = _SCREENS[code]
-    slanted = (np.abs(aside - apart) < SLANT * np.maximum(aside, apart)) & (screen == 5)
-    screen[slanted & (across * down > 0)], screen[slanted & (across * down < 0)] = 6, 7
+    horizontal, vertical = np.abs(right), np.abs(down)
+    code = (vertical < high * LINE) * np.uint8(8) + (horizontal < wide * LINE) * np.uint8(4)
+    code += (right < 0) * np.uint8(2) + (down < 0) * np.uint8(1)
+    screen = _SCREEN[code]
+    slanted = np.abs(horizontal - vertical) < DIAGONAL * np.maximum(horizontal, vertical)
+    slanted &= screen == _ELSEWHERE
+    falling = right * down > 0
+    screen[slanted & falling], screen[slanted & ~falling] = _FALLING, _RISING
     return Structure(
         relations=tree + screen,
-        label=_labels(page, distance, aside - wide, apart - high, down),
-        group=group,
-        rank=rank,
-        alike=np.array([seen[look] for look in looks], dtype=np.int64),
+        label=_labels(page, steps, horizontal - wide, vertical - high, down),
+        group=np.array(group, dtype=np.int64),
+        rank=np.array(ranks, dtype=np.int64),
+        alike=np.array([counts[kind] for kind in kinds], dtype=np.int64),
     )
 
 
 @functools.lru_cache(maxsize=512)
 def _tree(parents: bytes) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """[E, E] codes of relations in the tree, times SCREEN, and steps through it from each element to each."""
+    """[E, E] SCREEN_RELATIONS * relation in the tree, and the number of steps in the tree between two elements.
+
+    Relations: 0 the same element, 1 parent, 2 other ancestor, 3 child, 4 other descendant, 5 to 10 others by distance.
+    """
     parent = np.frombuffer(parents, dtype=np.int16).tolist()
-    above = np.zeros((len(parent), len(parent)), dtype=np.float32)
+    above = np.zeros((len(parent), len(parent)), dtype=np.float32)  # 1 for ancestors and the element itself
     for row, at in enumerate(parent):
         if at >= 0:
             above[row] = above[at]
         above[row, row] = 1.0
-    shared = above @ above.T  # ancestors in common, themselves included
-    depth = np.diagonal(shared)
-    distance = depth[:, None] + depth[None, :] - 2 * shared
-    tree = np.clip(distance, 2, 7) + 3  # 5 .. 10
-    up, down = shared == depth[None, :], shared == depth[:, None]
-    tree[up] = np.where(distance[up] == 1, 1, 2)
-    tree[down] = np.where(distance[down] == 1, 3, 4)
+    common = above @ above.T
+    depth = np.diagonal(common)
+    steps = depth[:, None] + depth[None, :] - 2 * common
+    tree = np.clip(steps, 2, 7) + 3
+    ancestor, descendant = common == depth[None, :], common == depth[:, None]
+    tree[ancestor] = np.where(steps[ancestor] == 1, 1, 2)
+    tree[descendant] = np.where(steps[descendant] == 1, 3, 4)
     np.fill_diagonal(tree, 0)
-    return (tree * SCREEN).astype(np.uint8), np.minimum(distance, 255).astype(np.uint8)
-
-
-def _offsets(centre: NDArray[np.float32]) -> NDArray[np.float32]:
-    return centre[None, :] - centre[:, None]
+    return (tree * SCREEN_RELATIONS).astype(np.uint8), np.minimum(steps, 255).astype(np.uint8)
 
 
 def _labels(
     page: Page,
-    distance: NDArray[np.uint8],
-    across: NDArray[np.float32],
-    apart: NDArray[np.float32],
+    steps: NDArray[np.uint8],
+    horizontal_gap: NDArray[np.float32],
+    vertical_gap: NDArray[np.float32],
     down: NDArray[np.float32],
 ) -> NDArray[np.int64]:
-    """For each field the nearest text in the tree; of equals the one nearest on the screen."""
+    """[E] for each field the text with the fewest steps in the tree; of several, the nearest one on the screen."""
     label = np.full(len(page), NONE, dtype=np.int64)
-    fields = [row for row, tag in enumerate(page.tag) if tag.startswith(FIELD_TAGS) and tag != "input_submit"]
-    if not fields:
+    fields = [row for row, tag in enumerate(page.tag) if tag.startswith(_FIELDS) and tag != "input_submit"]
+    texts = [row for row, text in enumerate(page.text) if text and page.tag[row] not in _NO_LABELS]
+    if not fields or not texts:
         return label
-    texts = np.array(
-        [row for row, text in enumerate(page.text) if text and page.tag[row] not in ("button", "option", "textarea")],
-        dtype=np.int64,
-    )
-    if not len(texts):
-        return label
-    for row in fields:
-        near = distance[row, texts]
-        pixels = np.maximum(across[row, texts], 0) + DOWN * np.maximum(apart[row, texts], 0)
-        after = (down[row, texts] > 4.0) * 50.0  # a label stands before its field, or beside it
-        cost = near.astype(np.float32) * 1000.0 + pixels + after
-        best = int(cost.argmin())
-        if near[best] <= LABEL_DISTANCE:
-            label[row] = texts[best]
+    some = np.ix_(fields, texts)
+    pixels = np.maximum(horizontal_gap[some], 0) + VERTICAL_WEIGHT * np.maximum(vertical_gap[some], 0)
+    cost = steps[some].astype(np.float32) * 1000.0 + pixels + (down[some] > BELOW_PX) * BELOW_COST_PX
+    best = cost.argmin(axis=1)
+    near = steps[some][np.arange(len(fields)), best] <= LABEL_STEPS
+    label[fields] = np.where(near, np.array(texts, dtype=np.int64)[best], NONE)
     return label

@@ -1,4 +1,4 @@
-"""r(s, a | g): the one reward function that the learner trains with and the reward service serves."""
+"""The reward r(s, a | g): the function that both the learner and the reward service use, and the reward model."""
 
 from __future__ import annotations
 
@@ -11,31 +11,32 @@ from torch import Tensor
 from torch.nn import functional
 
 from giirl_core.config import Config
-from giirl_core.nets.batch import (
-    ActionBatch,
-    collate,
-    collate_actions,
-    collate_choices,
-    collate_sampled,
-    join,
-)
+from giirl_core.nets.action_batch import ActionBatch, collate_actions, collate_candidates, collate_sampled, join
+from giirl_core.nets.batch import collate
 from giirl_core.nets.features import Features, featurise
 from giirl_core.nets.language import Vectors, load_vectors
 from giirl_core.nets.models import PolicyNet, RewardNet
 from giirl_core.nets.parameters import load_net
-from giirl_core.types import Action, Goal, Page, Trajectory, Weights
+from giirl_core.types import Action, Goal, Page, Trajectory
+from giirl_core.weights import Weights
 
 FORMS = ("logit", "d", "log_d", "gail", "goal")
 
 
 def reward_of(logit: Tensor, form: str, clip: float) -> Tensor:
-    """The reward for a discriminator logit, any shape, in nats (a probability for "d" and "goal").
+    """The rewards for discriminator logits of any shape, which are clipped to [-clip, clip] first.
 
-    `logit`: log D - log(1 - D) (Algorithm 1 of Luo 2019); `d`: D (its section 3.1); `log_d`: log D; `gail`:
-    -log(1 - D) (Ho and Ermon 2016); `goal`: 1 where D > 1/2 (AGILE; Bahdanau et al. 2019).
-    After the last step nothing more is paid, so the end of an episode counts as a state of reward 0: the
-    `logit` of a pair that expert and policy visit alike. `d` and `gail`, always positive, pay for stalling, and
-    `log_d`, always negative, for ending early; they are for comparison.
+        form    reward                 source
+        logit   log D - log(1 - D)     Luo 2019, Algorithm 1
+        d       D                      Luo 2019, section 3.1
+        log_d   log D
+        gail    -log(1 - D)            Ho and Ermon 2016
+        goal    1 if D > 1/2, else 0   AGILE, Bahdanau et al. 2019
+
+    `logit`, `log_d` and `gail` are in nats, `d` is a probability. ValueError for another form.
+
+    The end of an episode is worth 0, which is also the `logit` where D = 1/2. `d` and `gail` are never negative, so
+    they reward stalling. `log_d` is never positive, so it rewards an early end. These three are for comparison.
     """
     logit = logit.clamp(-clip, clip)
     if form == "logit":
@@ -52,9 +53,9 @@ def reward_of(logit: Tensor, form: str, clip: float) -> Tensor:
 
 
 def episode_rewards(logits: Tensor, lengths: Sequence[int], form: str, clip: float) -> list[Tensor]:
-    """The rewards [T, ...] of whole episodes from the logits [sum T, ...] of all their steps.
+    """The rewards [T, ...] of each episode, from the logits [sum T, ...] of all episodes with `lengths` T.
 
-    `goal` asks whether an episode ended where it should, so it pays for the last step alone.
+    The form `goal` rewards only the last step, because it judges whether the episode ended in a goal state.
     """
     rewards = reward_of(logits, form, clip)
     if form == "goal":
@@ -64,14 +65,14 @@ def episode_rewards(logits: Tensor, lengths: Sequence[int], form: str, clip: flo
 
 
 class RewardModel:
-    """A reward net with its form: trajectories in, rewards out."""
+    """A reward net with the form of its reward: computes rewards of pages, actions and trajectories."""
 
     def __init__(self, net: RewardNet, vectors: Vectors, form: str, clip: float) -> None:
         self.net, self.vectors, self.form, self.clip = net, vectors, form, clip
 
     @property
     def device(self) -> torch.device:
-        """Where the net computes."""
+        """The device of the net."""
         return self.net.absent.device
 
     def score_pairs(self, pages: Sequence[Page], actions: Sequence[Action], goals: Sequence[Goal]) -> Tensor:
@@ -80,12 +81,12 @@ class RewardModel:
         return reward_of(self._logits(rows, collate_actions(actions)).squeeze(1), self.form, self.clip)
 
     def score_actions(self, page: Page, goal: Goal, actions: Sequence[Action]) -> NDArray[np.float32]:
-        """[M] rewards of M actions on one page, which is read once."""
-        logits = self._logits([featurise(page, goal, self.vectors)], collate_choices(actions))
+        """[M] rewards of M actions on one page, which is encoded only once."""
+        logits = self._logits([featurise(page, goal, self.vectors)], collate_candidates(actions))
         return reward_of(logits.squeeze(0), self.form, self.clip).numpy()
 
     def score(self, trajectories: Sequence[Trajectory]) -> list[NDArray[np.float32]]:
-        """For each trajectory its [T * (1 + M)] rewards, as `Trajectory.with_rewards` takes them."""
+        """The rewards [T * (1 + M)] of each trajectory, in the order that `Trajectory.with_rewards` expects."""
         rows = [featurise(page, t.goal, self.vectors) for t in trajectories for page in t.pages]
         taken = collate_actions([action for trajectory in trajectories for action in trajectory.actions])
         logits = self._logits(rows, join(taken, collate_sampled(trajectories)[0]))
@@ -101,7 +102,10 @@ class RewardModel:
 
 
 def build_reward(config: Config, weights: Weights | None = None) -> RewardModel:
-    """The reward of a run's config, with its weights when there are any."""
+    """The reward model for the settings of a run, with `weights`; untrained without them.
+
+    ValueError if the weights are corrupt or of another net.
+    """
     vectors = load_vectors(config.net.vectors)
     net = RewardNet(vectors, config.net)
     if weights is not None:
@@ -110,5 +114,5 @@ def build_reward(config: Config, weights: Weights | None = None) -> RewardModel:
 
 
 def build_policy(config: Config) -> PolicyNet:
-    """An untrained policy of a run's config."""
+    """An untrained policy net for the settings of a run."""
     return PolicyNet(load_vectors(config.net.vectors), config.net)

@@ -21,7 +21,8 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from giirl_core.types import Action, Goal, Page, SampledActions, Trajectory, Verb
+from giirl_core.sampled_actions import SampledActions
+from giirl_core.types import Action, Goal, Page, Trajectory, Verb
 
 Column: TypeAlias = NDArray[Any]
 Columns: TypeAlias = dict[str, Column]
@@ -51,11 +52,7 @@ PER_ROW: dict[str, tuple[str, tuple[int, ...]]] = {
     "focused": ("|b1", ()),
     "tampered": ("|b1", ()),
 }
-PER_SAMPLE: dict[str, tuple[str, tuple[int, ...]]] = {
-    "sampled": ("<i2", (4,)),
-    "sampled_logp": ("<f4", ()),
-    "sampled_rewards": ("<f4", ()),
-}
+PER_SAMPLE = {"sampled": ("<i2", (4,)), "sampled_logp": ("<f4", ()), "sampled_rewards": ("<f4", ())}
 STRINGS: dict[str, tuple[str, tuple[int, ...]]] = {"characters": ("|u1", ()), "string_ends": ("<u4", ())}
 MAX_SAMPLES = 1024  # actions for each step
 MAX_STEPS = 1 << 16  # in one set of columns; the unpacked objects of a step are many times larger than its columns
@@ -100,24 +97,22 @@ def unpack(columns: Mapping[str, Column], headers: Sequence[Mapping[str, object]
     strings = _unpack_strings(columns)
     actions = _unpack_actions(columns, strings)
     pages = _unpack_pages(columns, strings)
-    trajectories = []
     sampled = _unpack_sampled(columns)
-    for header, (first, last), samples in zip(headers, _spans(step_ends), sampled, strict=True):
-        trajectories.append(
-            Trajectory(
-                task=read_field(header, "task", str),
-                goal=Goal(read_field(header, "goal", str)),
-                seed=read_field(header, "seed", int),
-                pages=tuple(pages[first:last]),
-                actions=tuple(actions[first:last]),
-                behaviour_logp=columns["behaviour_logp"][first:last].view(np.float32),
-                rewards=columns["rewards"][first:last].view(np.float32),
-                policy_version=read_field(header, "policy_version", int),
-                reward_version=read_field(header, "reward_version", int),
-                sampled=samples,
-            )
+    return [
+        Trajectory(
+            task=read_field(header, "task", str),
+            goal=Goal(read_field(header, "goal", str)),
+            seed=read_field(header, "seed", int),
+            pages=tuple(pages[first:last]),
+            actions=tuple(actions[first:last]),
+            behaviour_logp=columns["behaviour_logp"][first:last].view(np.float32),
+            rewards=columns["rewards"][first:last].view(np.float32),
+            policy_version=read_field(header, "policy_version", int),
+            reward_version=read_field(header, "reward_version", int),
+            sampled=samples,
         )
-    return trajectories
+        for header, (first, last), samples in zip(headers, _spans(step_ends), sampled, strict=True)
+    ]
 
 
 def header_fields(trajectory: Trajectory) -> dict[str, object]:
@@ -172,11 +167,9 @@ def _pack_sampled(parts: Sequence[SampledActions | None]) -> Columns:
 
 def _unpack_sampled(columns: Mapping[str, Column]) -> list[SampledActions | None]:
     steps, samples = columns["steps"].astype(np.int64), columns["samples"].astype(np.int64)
-    if len(samples) and int(samples.max()) > MAX_SAMPLES:
-        raise ValueError(f"column 'samples' holds {int(samples.max())}, wanted at most {MAX_SAMPLES}")
-    ends = np.cumsum(steps * samples)
-    if (int(ends[-1]) if len(ends) else 0) != len(columns["sampled"]):
-        raise ValueError(f"columns 'steps' and 'samples' do not split the {len(columns['sampled'])} sampled actions")
+    ends, total = np.cumsum(steps * samples), len(columns["sampled"])
+    if np.any(samples > MAX_SAMPLES) or (int(ends[-1]) if len(ends) else 0) != total:
+        raise ValueError(f"column 'samples' splits {total} actions into {samples.tolist()[:8]} a step")
     return [
         SampledActions(
             choices=columns["sampled"][first:last].view(np.int16).reshape(count, wide, 4),

@@ -27,9 +27,10 @@ One connection (DEALER to ROUTER, see `transport`), from start to end:
 
 Messages of the actor carry a `Stamp`. Hello, heartbeat and bye are notices (`Notice`).
 
-Flow control: a grant has a `limit`, and the actor sends only sequences below it. The learner raises the limit as it
-takes episodes from its queue. An actor with too many episodes that are not acked stops playing until they are. So does
-an actor whose copies take too much memory; before that, the flag `full` in its notices asks for a checkpoint.
+Flow control: a grant has a `limit`. The actor starts only episodes whose sequence will be below it, and sends only
+those. The learner raises the limit as it takes episodes from its queue, so that none is played that would be stale when
+its turn comes. An actor whose copies take too much memory starts none either; before that, the flag `full` in its
+notices asks for a checkpoint.
 
 Lost messages: notices and grants carry the complete state, not changes, so a lost or repeated one does no harm. A
 connection keeps the order of its messages. Therefore, when a grant answers a notice that was sent after an episode but
@@ -68,8 +69,11 @@ class Notice:
     finished: int  # number of episodes finished in this incarnation: sequences 0 to finished - 1
     full: bool = False  # the actor keeps so many copies that it needs a checkpoint to go on
     before: IncarnationCounts = ()  # earlier incarnations that are not settled
+    idle_share: float = 0.0  # of the actor's tabs, because it may start no episode
 
     def __post_init__(self) -> None:
+        if not 0 <= self.idle_share <= 1:
+            raise ValueError(f"Notice.idle_share is {self.idle_share}, wanted a share from 0 to 1")
         if min(self.number, self.finished - self.stamp.sequence) < 0:
             raise ValueError(
                 f"Notice has number {self.number}, finished {self.finished} and sequence {self.stamp.sequence}, "
@@ -105,7 +109,7 @@ class Grant:
     acked: tuple[int, ...] = ()  # sequences above the low watermark that are acked, too
     committed: int  # every sequence below it is committed: the actor may delete its copy
     settled: int  # every incarnation below it is settled: the actor may delete its count
-    limit: int  # the actor may send the sequences below it
+    limit: int  # the actor may start and send the sequences below it
 
     def is_acked(self, sequence: int) -> bool:
         return sequence < self.low_watermark or sequence in self.acked
@@ -126,6 +130,7 @@ def encode_notice(notice: Notice) -> bytes:
             "number": notice.number,
             "finished": notice.finished,
             "full": notice.full,
+            "idle_share": notice.idle_share,
             "before": [list(pair) for pair in notice.before],
         }
     )
@@ -166,6 +171,7 @@ def read_notice(header: Header, stamp: Stamp) -> Notice:
             number=read_field(header, "number", int),
             finished=read_field(header, "finished", int),
             full=read_field(header, "full", bool),
+            idle_share=read_field(header, "idle_share", float),
             before=tuple((entry[0], entry[1]) for entry in before),
         )
 

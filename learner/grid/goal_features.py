@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from giirl_core.actions import TOKEN
+from giirl_core.types import TOKEN
 
 
 class BagOfWords:

@@ -12,19 +12,20 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config, DiscriminatorConfig
 from giirl_core.nets.parameters import load_net, load_optimiser, seal_net, seal_optimiser
 from giirl_core.nets.reward import reward_of
-from giirl_core.types import Weights
+from giirl_core.weights import Weights
 from gridcraft.instructions import Pair, plain_sentence, sentences
 from gridcraft.world import HORIZON, World
 from learner.grid.goal_features import BagOfWords
 from learner.grid.nets import GridFeatures, PotentialNet, QNet, RewardNet, one_hot
 from learner.grid.steps import EXPERT_TEMPERATURE, NO_STEPS, GridDemos, Index, Steps, expert_steps, random_steps
 from learner.losses import gradient_penalty, logistic_loss
-from learner.schedules import anneal, anneal_reward
+from learner.protocols import ACCURACY, EXPERT
+from learner.schedules import anneal, anneal_discriminator
 
-EXPERT = "expert"
 TARGET_RATE = 0.05  # weight of Q in each update of the moving average that acts and sets targets
 RewardFn = Callable[[Steps], Tensor]
 
@@ -53,7 +54,7 @@ class GridDiscriminator:
         stats: dict[str, float] = {}
         for _ in range(self.config.updates):
             stats = self._train_batch(self._sample_sources(expert, rollouts, policy), policy)
-        self.accuracy = stats.get("d_accuracy_rollouts", self.accuracy)
+        self.accuracy = stats.get(f"{ACCURACY}rollouts", self.accuracy)
         capacity = self.config.replay_size * HORIZON
         self.replay = Steps.join([self.replay, rollouts])
         self.replay = self.replay.pick(np.arange(max(len(self.replay) - capacity, 0), len(self.replay)))
@@ -109,7 +110,7 @@ class GridDiscriminator:
         (loss + penalty).backward()
         self.optimiser.step()
         accuracy = {name: (part > 0 if name == EXPERT else part < 0).float().mean() for name, part in parts.items()}
-        return {"d_loss": loss.item(), **{f"d_accuracy_{name}": mean.item() for name, mean in accuracy.items()}}
+        return {"d_loss": loss.item(), **{f"{ACCURACY}{name}": mean.item() for name, mean in accuracy.items()}}
 
     def _renamed_inputs(self, steps: Steps) -> Tensor:
         """[N, F + V] reward inputs. Each step has its colours permuted with probability `rename_prob`."""
@@ -139,9 +140,16 @@ class GridSoftQ:
     """
 
     def __init__(
-        self, config: Config, features: GridFeatures, goals: Index, random: Steps, rng: np.random.Generator
+        self,
+        config: Config,
+        features: GridFeatures,
+        goals: Index,
+        random: Steps,
+        rng: np.random.Generator,
+        reward_fn: RewardFn,  # the current reward [N] of any steps
     ) -> None:
         self.config, self._grid, self._features, self._rng = config.policy, config.grid, features, rng
+        self._reward_fn = reward_fn
         self._goals = goals  # [G] the sentences that training may use
         self.scale = config.discriminator.clip
         self.q = QNet(features.policy_width, 2 * config.net.width, self.config.entropy, self.scale)
@@ -150,18 +158,18 @@ class GridSoftQ:
         self.optimiser = torch.optim.Adam(self.q.parameters(), lr=self.config.learning_rate, fused=True)
         self._random, self.replay = random, NO_STEPS
 
-    def update(self, rollouts: Steps, rewards: Tensor, reward_fn: RewardFn) -> dict[str, float]:
+    def update(self, rollouts: Steps, rewards: Tensor) -> dict[str, float]:
         """Gradient steps on the squared soft Bellman error, half on the replay buffer and half on random steps.
 
-        Each step is relabelled with a random sentence (hindsight relabelling, Andrychowicz et al. 2017), and
-        `reward_fn` computes its current reward under that sentence. `rewards` [N] are only reported.
+        Each step is relabelled with a random sentence (hindsight relabelling, Andrychowicz et al. 2017) and gets its
+        current reward under that sentence. `rewards` [N] are only reported.
         """
         batch, updates, rng = self._grid.batch, self.config.updates, self._rng
         self.replay = Steps.join([self.replay, rollouts])
         half = updates * batch // 2
         steps = Steps.join([self.replay.sample(half, rng), self._random.sample(half, rng)])
         steps = steps.pick(rng.permutation(len(steps))).with_goals(rng.choice(self._goals, size=len(steps)))
-        reward = reward_fn(steps) / self.scale
+        reward = self._reward_fn(steps) / self.scale
         inputs = self._features.policy_inputs(steps.state, steps.goal)
         following = self._features.policy_inputs(steps.following, steps.goal)
         action = torch.from_numpy(steps.action)[:, None]
@@ -234,7 +242,8 @@ class GridLearner:
         length = HORIZON + (end_state is not None)
         self.demos = GridDemos(expert, length, self.pair_index, self.goals, self.rng)
         self.discriminator = GridDiscriminator(config, self.features, self.demos, random, self.rng)
-        self.policy = GridSoftQ(config, self.features, self.goals, random, self.rng)
+        d = self.discriminator
+        self.policy = GridSoftQ(config, self.features, self.goals, random, self.rng, d.reward_fn)
         self.cloner = GridCloner(config, self.features)
 
     def featurise(self, episodes: Steps) -> Steps:
@@ -244,13 +253,13 @@ class GridLearner:
     def anneal(self, step: int) -> None:
         """Set the learning rates for iteration `step`, from 0 to iterations - 1."""
         done = step / max(self.config.iterations - 1, 1)
-        anneal_reward(self.discriminator, done)
+        anneal_discriminator(self.discriminator, done)
         anneal(self.policy, done)
 
     @property
     def behaviour_policy(self) -> QNet:
         """The policy that plays: that of Algorithm 1, or the cloned one for algorithm "cloning"."""
-        return self.cloner.net if self.config.algorithm == "cloning" else self.policy.net
+        return self.policy.net if ALGORITHMS[self.config.algorithm].uses_reward else self.cloner.net
 
     def nets(self) -> dict[str, nn.Module]:
         """The trained networks by name."""

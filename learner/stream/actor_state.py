@@ -22,6 +22,7 @@ class ActorState:
     notice: int = 0  # number of the last notice received
     full: bool = False  # the actor's buffer is nearly full, so it asked for a checkpoint
     queued: int = 0  # episodes waiting in the learner's queue
+    idle_share: float = 0.0  # of its tabs, of late
     peer: bytes | None = None  # ZeroMQ identity; None after a BYE, or when only known from a checkpoint
     last_heard_s: float = 0.0  # monotonic time
 
@@ -65,7 +66,7 @@ class ActorState:
         """Apply a notice from the actor."""
         self.notice = max(self.notice, notice.number)
         self.finished = max(self.finished, notice.finished)
-        self.full = notice.full
+        self.full, self.idle_share = notice.full, notice.idle_share
 
     def skip_to(self, sequence: int) -> int:
         """Acknowledge every sequence number below `sequence`; returns how many of those episodes never arrived."""
@@ -90,11 +91,14 @@ class ActorState:
         """Whether the actor waits for a checkpoint, and a checkpoint now would free some of its buffer."""
         return self.full and self.peer is not None and self.low_watermark > self.committed
 
-    def send_limit(self, credits_: int) -> int:
-        """The actor may send every sequence number below this one."""
-        return self.acked_count + max(0, credits_ - self.queued)
+    def send_limit(self, window: int) -> int:
+        """The actor may start the episodes with sequence numbers below this one, and send them.
 
-    def grant(self, credits_: int) -> Grant:
+        `window` bounds its outstanding episodes: those that it plays, scores or sends, and its queued ones.
+        """
+        return self.acked_count + max(0, window - self.queued)
+
+    def grant(self, window: int) -> Grant:
         return Grant(
             incarnation=self.incarnation,
             notice=self.notice,
@@ -102,7 +106,7 @@ class ActorState:
             acked=tuple(sorted(self.acked)),
             committed=self.committed,
             settled=self.settled,
-            limit=self.send_limit(credits_),
+            limit=self.send_limit(window),
         )
 
     def _advance_watermark(self) -> None:

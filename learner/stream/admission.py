@@ -21,24 +21,12 @@ from giirl_core.wire import messages as wire
 from giirl_core.wire.delivery import EpisodeMessage, Notice
 from giirl_core.wire.messages import Stamp, WireError
 from learner.stream.actor_state import ActorState
+from learner.stream.flow import FlowControl, IngestLimits
 from learner.stream.snapshot import IngestSnapshot
 
 LOG = logging.getLogger(__name__)
 TAKEN = "taken"
 DROPPED = ("stale", "stale_queued", "invalid", "repeated", "held_out", "lost")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IngestLimits:
-    """How far actors may run ahead of the learner, and how old the policy of an episode may be."""
-
-    credits: int = 4  # episodes of one actor that may be in flight or queued
-    max_lag: int = 4  # policy versions; older episodes are dropped on arrival and in the queue; 0 means lock-step
-    max_bytes: int = 256 << 20  # encoded bytes in the queue; above this no actor has credits
-
-    def __post_init__(self) -> None:
-        if self.credits < 1 or self.max_lag < 0 or self.max_bytes < 1:
-            raise ValueError(f"{self} admits no episode: wanted credits and max_bytes >= 1 and max_lag >= 0")
 
 
 @dataclass(slots=True, kw_only=True)
@@ -77,6 +65,7 @@ class Admission:
         self._grants_due: set[str] = set()  # actors whose grant has changed
         self._actors = {offsets.actor: ActorState.from_offsets(offsets) for offsets in snapshot.offsets}
         self._counts = Counter(snapshot.counts)
+        self._flow = FlowControl(limits.batch, limits.max_lag)
 
     @property
     def queued(self) -> int:
@@ -86,6 +75,15 @@ class Admission:
     def wants_commit(self) -> bool:
         """Whether an actor has to wait for a checkpoint before it can go on."""
         return any(actor.wants_commit for actor in self._actors.values())
+
+    @property
+    def stale(self) -> int:
+        return self._counts["stale"] + self._counts["stale_queued"]
+
+    @property
+    def idle_share(self) -> float:
+        shares = [actor.idle_share for actor in self._actors.values() if actor.peer is not None]
+        return sum(shares) / max(len(shares), 1)
 
     def receive(self, peer: bytes, message: bytes) -> bytes | None:
         """Process one message from an actor; returns the reply to send at once, if any."""
@@ -145,6 +143,7 @@ class Admission:
         batch, self._pulled = self._pulled[:episodes], self._pulled[episodes:]
         for episode in batch:
             self._observe_lag(episode, version)
+        self._flow.observe([version - episode.trajectory.policy_version for episode in batch], self.stale)
         self._counts[TAKEN] += len(batch)
         return batch if self._limits.max_lag else sorted(batch, key=_page)
 
@@ -152,7 +151,9 @@ class Admission:
         """(peer, encoded grant) for every actor whose grant has changed since the last call."""
         due = [self._actors[name] for name in sorted(self._grants_due)]
         self._grants_due.clear()
-        return [(a.peer, delivery.encode_grant(a.grant(self._credits))) for a in due if a.peer is not None]
+        connected = [actor.actor for actor in self._actors.values() if actor.peer is not None]
+        windows = self._flow.windows(connected, self._credits)
+        return [(a.peer, delivery.encode_grant(a.grant(windows[a.actor]))) for a in due if a.peer is not None]
 
     def snapshot(self) -> IngestSnapshot:
         """The state that a checkpoint has to store. Drops queued episodes that are stale or invalid."""

@@ -10,7 +10,8 @@ from giirl_core.metrics import Metrics, waiting
 from giirl_core.types import Episode
 from giirl_core.wire.delivery import IncarnationCounts
 from giirl_core.wire.transport import Keys, Router
-from learner.stream.admission import Admission, IngestLimits
+from learner.stream.admission import Admission
+from learner.stream.flow import IngestLimits
 from learner.stream.snapshot import IngestSnapshot
 
 TICK_S = 0.1  # longest wait for a message; bounds how long `close` takes
@@ -116,6 +117,18 @@ class Ingest:
         """The number of episodes that are accepted and not yet taken."""
         with self._lock:
             return self._admission.queued
+
+    @property
+    def stale(self) -> int:
+        """Episodes dropped as stale in this history."""
+        with self._lock:
+            return self._admission.stale
+
+    @property
+    def idle_share(self) -> float:
+        """The share of their tabs that the connected actors leave idle, because the learner takes no more."""
+        with self._lock:
+            return self._admission.idle_share
 
     def close(self) -> None:
         """Stop the thread and release the port."""

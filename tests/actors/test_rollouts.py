@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,18 +12,16 @@ from numpy.typing import NDArray
 from prometheus_client import generate_latest
 
 from actors.agents import Agent, Decision, ExpertAgent, PolicyAgent, RandomAgent
-from actors.rollouts import Schedule, play
+from actors.rollouts import Schedule, always_open, play
 from browser_farm.experts import expert
 from browser_farm.fake import TASKS, FakeFarm, check_task
 from giirl_core.metrics import Metrics
-from giirl_core.nets.parameters import seal_net
 from giirl_core.types import (
     Action,
     Browser,
     Command,
     Episode,
     EpisodeSpec,
-    Goal,
     Observation,
     Page,
     Purpose,
@@ -31,7 +29,7 @@ from giirl_core.types import (
     Verb,
     page_seed,
 )
-from tests.learner.samples import SHORT, legal_actions, policy, vectors
+from tests.learner.samples import policy, vectors
 
 ALL = tuple(TASKS)
 EMPTY = Page(
@@ -99,6 +97,8 @@ class BlankPages(FakeFarm):
 
 class FirstLeafAgent:
     """Always clicks the first leaf."""
+
+    draws = 1
 
     def select_actions(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]:
         first = [int(np.flatnonzero(observation.page.leaf)[0]) for observation in observations]
@@ -211,52 +211,6 @@ def test_a_requeued_episode_goes_to_a_tab_of_its_task() -> None:
     assert [schedule.next(tab) for tab in range(4)] == [None, None, lost, None]
 
 
-def test_experts_always_succeed_on_the_fake_tasks() -> None:
-    played = episodes(FakeFarm(tabs=4), ExpertAgent(expert), 40)
-    assert all(episode.outcome.success for episode in played)
-    assert {episode.trajectory.policy_version for episode in played} == {-1}
-
-
-def test_random_agent_chooses_every_legal_action_with_the_probability_it_reports() -> None:
-    goal = Goal("Type ok.")
-    observation = Observation(episode=EpisodeSpec(task="t", seed=0), page=SHORT, goal=goal)
-    uniform = np.random.default_rng(0).random((8000, 3), dtype=np.float32)
-    decisions = RandomAgent().select_actions([observation] * 8000, uniform)
-    counts = Counter(decision.action for decision in decisions)
-    reported = {decision.action: np.exp(decision.logp) for decision in decisions}
-    assert set(counts) == set(legal_actions(SHORT, goal))
-    assert sum(reported.values()) == pytest.approx(1.0)
-    for action, p in reported.items():
-        assert counts[action] / 8000 == pytest.approx(p, abs=0.02)
-
-
-@pytest.mark.parametrize("uniform", [0.0, 1.0 - 2.0**-24])
-def test_random_actions_are_legal_at_both_ends_of_the_unit_interval(uniform: float) -> None:
-    goal = Goal("Type ok.")
-    observation = Observation(episode=EpisodeSpec(task="t", seed=0), page=SHORT, goal=goal)
-    (decision,) = RandomAgent().select_actions([observation], np.full((1, 3), uniform, dtype=np.float32))
-    assert decision.action in legal_actions(SHORT, goal)
-
-
-def test_a_greedy_policy_does_not_depend_on_the_random_numbers() -> None:
-    greedy = PolicyAgent(policy(), vectors(), greedy=True)
-    observations = list(FakeFarm(tabs=1).reset({0: EpisodeSpec(task="click-button", seed=1)}).values())
-    one, two = (
-        greedy.select_actions(observations, np.full((1, 3), uniform, dtype=np.float32)) for uniform in (0.01, 0.99)
-    )
-    assert one == two
-
-
-def test_a_policy_agent_rejects_older_weights_and_reports_its_version() -> None:
-    agent = PolicyAgent(policy(), vectors())
-    agent.load(seal_net(policy(1), 5))
-    with pytest.raises(ValueError, match="version 4, wanted 5 or later"):
-        agent.load(seal_net(policy(2), 4))
-    observations = list(FakeFarm(tabs=1).reset({0: EpisodeSpec(task="click-test", seed=1)}).values())
-    (decision,) = agent.select_actions(observations, np.full((1, 3), 0.5, dtype=np.float32))
-    assert decision.version == 5
-
-
 @pytest.mark.parametrize("task", ALL)
 def test_the_same_task_and_seed_give_the_same_fake_page(task: str) -> None:
     spec = EpisodeSpec(task=task, seed=99)
@@ -270,3 +224,33 @@ def test_the_same_task_and_seed_give_the_same_fake_page(task: str) -> None:
 def test_the_error_for_an_unknown_fake_task_names_the_known_ones() -> None:
     with pytest.raises(ValueError, match="no task 'click-buton': it has click-test"):
         check_task("click-buton")
+
+
+def test_episodes_start_only_as_the_gate_allows_and_are_the_same_ones() -> None:
+    started: list[int] = []
+
+    class Counting(FakeFarm):
+        """Remembers how many tabs are open in each step."""
+
+        def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]:
+            started.append(len(commands))
+            return super().step(commands)
+
+    def played(browser: FakeFarm, gate: Callable[[int], int]) -> list[Episode]:
+        schedule = Schedule(ALL, browser.tabs, purpose=Purpose.TRAIN, run_seed=3, quota=6)
+        rounds = play(browser, RandomAgent(), schedule, step_limit=5, metrics=Metrics(), gate=gate)
+        return sorted((e for some in rounds for e in some), key=lambda e: (e.trajectory.task, e.trajectory.seed))
+
+    gated = played(Counting(tabs=8), lambda playing: 3 - playing)
+    assert max(started) == 3
+    assert [content(e) for e in gated] == [content(e) for e in played(FakeFarm(tabs=8), always_open)]
+
+
+def test_a_closed_gate_yields_empty_rounds_until_it_opens() -> None:
+    schedule = Schedule(["click-test"], 2, purpose=Purpose.TRAIN, run_seed=3, quota=2)
+    opened = [False]
+    gate = lambda playing: 2 - playing if opened[0] else 0  # noqa: E731
+    rounds = play(FakeFarm(tabs=2), FirstLeafAgent(), schedule, step_limit=5, metrics=Metrics(), gate=gate)
+    assert [next(rounds) for _ in range(3)] == [[], [], []]
+    opened[0] = True
+    assert sum(len(some) for some in rounds) == 2

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from actors.agents import PolicyAgent
 from actors.uplink import Refused
-from actors.worker import Worker, WorkerLimits
+from actors.worker import OUTAGE_S, Worker, WorkerLimits
 from giirl_core.metrics import Metrics
 from giirl_core.nets.parameters import seal_net
-from giirl_core.types import Episode, Weights
+from giirl_core.types import UNSCORED, Episode, Trajectory
+from giirl_core.weights import Weights
 from tests.giirl_core.wire_examples import episode
 from tests.learner.samples import policy, vectors
 
@@ -37,7 +41,7 @@ class SilentScorer:
 class RecordingUplink:
     """Accepts every episode."""
 
-    ready, silent_for_s = True, 0.0
+    silent_for_s = 0.0
 
     def __init__(self) -> None:
         self.submitted: list[Episode] = []
@@ -48,12 +52,15 @@ class RecordingUplink:
 
     def poll(self) -> None: ...
 
+    def startable(self, unfinished: int) -> int:
+        return 8 - unfinished
+
     def flush(self, timeout_s: float) -> None:
         self.flushed = True
 
 
-def make_worker(scorer: SilentScorer, uplink: RecordingUplink, schedule: Any, metrics: Metrics) -> Worker:
-    browser: Any = None
+def make_worker(scorer: SilentScorer | None, uplink: RecordingUplink, schedule: Any, metrics: Metrics) -> Worker:
+    browser: Any = SimpleNamespace(tabs=1)
     fakes: Any = (scorer, uplink)
     limits = WorkerLimits(step_limit=3, flush_timeout_s=0.05)
     return Worker(browser, PolicyAgent(policy(), vectors()), schedule, *fakes, limits=limits, metrics=metrics)
@@ -97,3 +104,60 @@ def test_corrupt_and_older_weights_are_rejected_and_counted() -> None:
 
 def sealed(version: int) -> Weights:
     return seal_net(policy(), version)
+
+
+class FailingScorer(SilentScorer):
+    """A score client whose requests fail while `down`, and otherwise get rewards of 7 from reward version 2."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.down = True
+        self.requests = 0
+
+    def submit(self, key: object, trajectory: Trajectory) -> None:
+        self.requests += 1
+        self._pending.append((key, trajectory))
+
+    def poll(self) -> list[Any]:
+        pending, self._pending = self._pending, []
+        rewards = [None if self.down else np.full(t.reward_count, 7.0, np.float32) for _, t in pending]
+        return [(key, scored, 2) for (key, _), scored in zip(pending, rewards, strict=True)]
+
+
+def test_while_the_reward_service_fails_episodes_are_sent_unscored_and_few_requests_are_made(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scorer, uplink, now_s = FailingScorer(), RecordingUplink(), [100.0]
+    monkeypatch.setattr("actors.worker.time.monotonic", lambda: now_s[0])
+    worker = make_worker(scorer, uplink, None, Metrics())
+    for _ in range(20):
+        worker._finish(episode(1))
+        worker._poll()
+    assert scorer.requests == 1
+    assert [e.trajectory.reward_version for e in uplink.submitted] == [UNSCORED] * 20
+    now_s[0] += OUTAGE_S + 0.1
+    scorer.down = False
+    for _ in range(3):
+        worker._finish(episode(1))
+        worker._poll()
+    assert scorer.requests == 4
+    assert [e.trajectory.reward_version for e in uplink.submitted[20:]] == [2] * 3
+    assert uplink.submitted[-1].trajectory.rewards.tolist() == [7.0]
+
+
+def test_an_algorithm_without_a_learned_reward_requests_no_rewards() -> None:
+    uplink, metrics = RecordingUplink(), Metrics()
+    worker = make_worker(None, uplink, None, metrics)
+    worker._finish(episode(1))
+    worker._poll()
+    assert len(uplink.submitted) == 1
+    assert metrics.registry.get_sample_value("giirl_episodes_unscored_total") == 0
+
+
+def test_no_episode_starts_beyond_the_credits_or_while_too_many_are_being_scored() -> None:
+    worker = make_worker(SilentScorer(*[episode(1)] * 3), RecordingUplink(), None, Metrics())
+    assert worker._startable(2) == 8 - 2 - 3
+    worker._limits = replace(worker._limits, max_playing=4)
+    assert worker._startable(2) == 2
+    worker = make_worker(SilentScorer(*[episode(1)] * 65), RecordingUplink(), None, Metrics())
+    assert worker._startable(0) == 0

@@ -1,4 +1,4 @@
-"""One farm for the tests of a module: starting Chrome takes longer than most of them."""
+"""Fixtures: one farm per test module, because starting Chrome takes longer than most tests."""
 
 from __future__ import annotations
 

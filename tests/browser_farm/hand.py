@@ -1,6 +1,6 @@
-"""A hand for tests: the mouse and keyboard of a person, as trusted events that Chrome's Input domain sends.
+"""Simulates a person's mouse and keyboard in tests, with events of Chrome's Input domain.
 
-It stands in for the person's own hand: the page cannot tell the two apart (`isTrusted` is true for both).
+A page cannot distinguish them from a person's events: `isTrusted` is true for both.
 """
 
 from __future__ import annotations
@@ -13,27 +13,27 @@ from browser_farm.human.recorder import TAB, Recorder
 from giirl_core.keys import MODIFIERS, key_code
 
 FIND = """(() => {
-  const all = [...document.querySelectorAll(%s)].filter((each) => %s === null || each.textContent.trim() === %s);
-  const element = all[%d];
+  const found = [...document.querySelectorAll(%s)].filter((one) => %s === null || one.textContent.trim() === %s);
+  const element = found[%d];
   const box = element.getBoundingClientRect();
   return JSON.stringify([box.left + box.width / 2, box.top + box.height / 2]);
 })()"""
 
 
 class Hand:
-    """Its wait for each event is Chrome's own answer, so what it did has reached the page when it goes on."""
+    """Waits for Chrome's reply to each event, so the page has handled it when the method returns."""
 
     def __init__(self, recorder: Recorder) -> None:
         self._tabs = recorder._tabs
 
     def find(self, selector: str, text: str | None = None, nth: int = 0) -> tuple[float, float]:
-        """The middle of the nth such element with this text."""
+        """The middle of the nth element that matches the selector and has this text, CSS px."""
         expression = FIND % (json.dumps(selector), json.dumps(text), json.dumps(text), nth)
-        answer = self.ask(expression)
-        x, y = json.loads(answer)
+        x, y = json.loads(self.ask(expression))
         return x, y
 
     def ask(self, expression: str) -> str:
+        """The string that a JavaScript expression returns."""
         answer = self._tabs.evaluate({TAB: expression})[TAB]
         assert isinstance(answer, str), answer
         return answer
@@ -50,8 +50,8 @@ class Hand:
         x, y = start
         self._mouse("mouseMoved", x, y)
         self._mouse("mousePressed", x, y)
-        for part in (0.25, 0.5, 0.75, 1.0):
-            self._mouse("mouseMoved", x + part * by[0], y + part * by[1])
+        for fraction in (0.25, 0.5, 0.75, 1.0):
+            self._mouse("mouseMoved", x + fraction * by[0], y + fraction * by[1])
         self._mouse("mouseReleased", x + by[0], y + by[1])
 
     def wheel(self, at: tuple[float, float], down: float) -> None:
@@ -62,16 +62,16 @@ class Hand:
             self.press(character)
 
     def press(self, key: str, held: str = "") -> None:
-        """A key, with a modifier held where one is named."""
+        """Press and release a key while the modifier `held`, if any, is down."""
         text = "\r" if key == "Enter" else key if len(key) == 1 and not held else ""
-        told = {
+        params = {
             "key": key,
             "modifiers": MODIFIERS.get(held, 0),
             "windowsVirtualKeyCode": key_code(key),
             **({"commands": ["selectAll"]} if (held, key) == ("Control", "a") else {}),
         }
-        self._send("Input.dispatchKeyEvent", type="keyDown" if text else "rawKeyDown", text=text, **told)
-        self._send("Input.dispatchKeyEvent", type="keyUp", **told)
+        self._send("Input.dispatchKeyEvent", type="keyDown" if text else "rawKeyDown", text=text, **params)
+        self._send("Input.dispatchKeyEvent", type="keyUp", **params)
 
     def close(self) -> None:
         self._tabs._tools.call(BROWSER, "Target.closeTarget", {"targetId": self._tabs._tab(TAB).target}, timeout_s=5.0)

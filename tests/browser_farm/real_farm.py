@@ -1,4 +1,4 @@
-"""A farm with a real Chrome, and what tests say to it."""
+"""A farm with a real Chrome, and helpers for its tests."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from giirl_core.types import Command, EpisodeSpec, Observation, Verb
 
 
 class Farm:
-    """A farm and the causes that it has told so far."""
+    """A farm of three tabs, and the causes that it has passed to `on_restart`."""
 
     def __init__(self, *, trusted: bool = False) -> None:
         self.causes: list[str] = []
@@ -20,14 +20,17 @@ class Farm:
         return self.chrome.reset({tab: EpisodeSpec(task=task, seed=seed) for tab, seed in enumerate(seeds)})
 
     def run(self, tab: int, script: str) -> None:
+        """Run a script in a tab."""
         self.ask(tab, f"{script};'ok'")
 
     def ask(self, tab: int, expression: str) -> str:
+        """The string that a JavaScript expression returns in a tab."""
         answer = self.chrome._tabs.evaluate({tab: expression})[tab]
         assert isinstance(answer, str), answer
         return answer
 
     def on_click(self, tab: int, script: str) -> None:
+        """Let the next click in a tab run a script."""
         self.run(tab, f"document.body.addEventListener('mousedown', () => {{ {script} }}, {{once: true}})")
 
     def pids(self) -> set[int]:
@@ -35,13 +38,15 @@ class Farm:
 
 
 def click(observation: Observation, row: int, *, seed: int | None = 900, last: bool = False) -> Command:
+    """Click a row; an episode of the same task with this seed follows."""
     task = observation.episode.task
     following = None if seed is None else EpisodeSpec(task=task, seed=seed)
     ref = int(observation.page.ref[row])
     return Command(verb=Verb.CLICK, ref=ref, last=last, following=following)
 
 
-def seen(observation: Observation | None) -> tuple[object, ...]:
+def content(observation: Observation | None) -> tuple[object, ...]:
+    """Everything in an observation except its episode, comparable with ==."""
     assert observation is not None
     page = observation.page
     strings = (observation.goal.utterance, page.tag, page.text, page.value, page.classes, page.colour, page.shape)

@@ -1,4 +1,4 @@
-"""The miniwob package's words: which command an action becomes, and which observation a page."""
+"""The translation of the miniwob package's actions to commands, and of pages to its observations."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from giirl_core.types import Command, Verb
 FIELDS = [("target", "Ada"), ("place", "top")]
 
 
-# ref, row of the parent, flags, background, foreground
+# ref, parent row, flags, background and foreground of each element
 NUMBERS = [1, -1, 1, 0, 1, 2, 0, 2, 2, 3, 3, 1, 8, 1, 2, 4, 0, 8, 1, 2, 5, 0, 0, 1, 2, -1, 4, 8, 0, 0]
 NUMBERS += [6, 4, 8, 1, 2, -2, 4, 8, 0, 0]
 
 
 def page() -> Elements:
-    """A button with a picture in it, a checkbox, two lines of text."""
+    """A button with an SVG in it, a checkbox, two lines of text."""
     return decode_elements(
         [
             ["Press it.", None],
@@ -45,9 +45,9 @@ def page() -> Elements:
 def command(
     kind: str, fields: list[tuple[str, str]] | None = None, preset: str = "all_supported", **values: Any
 ) -> Command:
-    package = MiniWoBAdapter.of("enter-text", preset)
-    action = package.create_action(package.action_space, kind, values)
-    return package.command(action, page(), FIELDS if fields is None else fields)
+    adapter = MiniWoBAdapter.of("enter-text", preset)
+    action = adapter.create_action(adapter.action_space, kind, values)
+    return adapter.command(action, page(), FIELDS if fields is None else fields)
 
 
 CASES: list[tuple[str, dict[str, Any], Command]] = [
@@ -66,24 +66,24 @@ CASES: list[tuple[str, dict[str, Any], Command]] = [
     ("TYPE_FIELD", {"field": 2}, Command(verb=Verb.APPEND)),
     ("FOCUS_ELEMENT_AND_TYPE_TEXT", {"ref": 4, "text": "Eve"}, Command(verb=Verb.ACTIVATE, ref=4, text="Eve")),
     ("FOCUS_ELEMENT_AND_TYPE_FIELD", {"ref": 4, "field": 0}, Command(verb=Verb.ACTIVATE, ref=4, text="Ada")),
-    # What is not on the page gets no click, yet the keys are struck.
+    # An unknown ref gets no click, but the text is typed.
     ("CLICK_ELEMENT", {"ref": 77}, Command(verb=Verb.APPEND)),
     ("FOCUS_ELEMENT_AND_TYPE_TEXT", {"ref": 77, "text": "Eve"}, Command(verb=Verb.APPEND, text="Eve")),
 ]
 
 
 @pytest.mark.parametrize(("kind", "values", "wanted"), CASES)
-def test_every_action_of_the_package_is_one_command(kind: str, values: dict[str, Any], wanted: Command) -> None:
+def test_every_action_of_the_package_becomes_one_command(kind: str, values: dict[str, Any], wanted: Command) -> None:
     assert command(kind, **values) == wanted
 
 
-def test_every_action_type_is_covered() -> None:
+def test_the_cases_cover_every_action_type() -> None:
     assert {kind for kind, _, _ in CASES} >= {kind.value for kind in ActionTypes}
 
 
 def test_binned_coordinates_point_at_the_middle_of_their_bin() -> None:
-    found = command("CLICK_COORDS", preset="humphreys22", coords=np.array([0, 50]))
-    assert found.at == pytest.approx((160 / 51 / 2, 210 - 210 / 51 / 2))
+    click = command("CLICK_COORDS", preset="humphreys22", coords=np.array([0, 50]))
+    assert click.at == pytest.approx((160 / 51 / 2, 210 - 210 / 51 / 2))
 
 
 @pytest.mark.parametrize(
@@ -102,50 +102,56 @@ def test_binned_coordinates_point_at_the_middle_of_their_bin() -> None:
         ("M--", "Meta+-"),
     ],
 )
-def test_keys_are_pressed_by_the_names_that_pages_use(name: str, wanted: str) -> None:
+def test_keys_of_the_package_become_chords(name: str, wanted: str) -> None:
     assert chord_of(name) == wanted
 
 
-def test_every_key_of_the_presets_has_a_name() -> None:
+def test_every_key_of_the_presets_is_supported() -> None:
     for preset in ("all_supported", "shi17", "liu18", "humphreys22", "all_supported_mac_os"):
         MiniWoBAdapter.of("click-test", preset)
 
 
 @pytest.mark.parametrize(
-    ("said", "what"),
+    ("message", "call"),
     [
         ("there is no MiniWoB task 'clik-test'", lambda: MiniWoBAdapter.of("clik-test")),
         ("Unknown preset", lambda: MiniWoBAdapter.of("click-test", "all")),
         (
-            "the key '<Help>' has no meaning",
+            "the key '<Help>' is not supported",
             lambda: MiniWoBAdapter.of(
                 "click-test", ActionSpaceConfig([ActionTypes.PRESS_KEY], allowed_keys=["<Help>"])
             ),
         ),
-        ("no action of enter-text", lambda: MiniWoBAdapter.of("enter-text").command({"action_type": 99}, page(), [])),
-        ("no action of enter-text", lambda: MiniWoBAdapter.of("enter-text").command({"action_type": 8}, page(), [])),
-        ("no action of enter-text", lambda: MiniWoBAdapter.of("enter-text").command(7, page(), [])),  # type: ignore[arg-type]
+        (
+            "is not an action of enter-text",
+            lambda: MiniWoBAdapter.of("enter-text").command({"action_type": 99}, page(), []),
+        ),
+        (
+            "is not an action of enter-text",
+            lambda: MiniWoBAdapter.of("enter-text").command({"action_type": 8}, page(), []),
+        ),
+        ("is not an action of enter-text", lambda: MiniWoBAdapter.of("enter-text").command(7, page(), [])),  # type: ignore[arg-type]
         ("data_mode is 'exam'", lambda: ResetOptions(data_mode="exam")),
         ("reset got option 'speed'", lambda: ResetOptions().updated({"speed": 1})),
     ],
 )
-def test_what_the_package_does_not_know_is_refused_in_one_line(said: str, what: Any) -> None:
-    with pytest.raises(ValueError, match=said) as caught:
-        what()
+def test_invalid_arguments_raise_a_one_line_error(message: str, call: Any) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        call()
     assert "\n" not in str(caught.value)
 
 
-def test_table_and_tree_of_a_page_say_the_same() -> None:
-    package = MiniWoBAdapter.of("enter-text")
-    observed = package.observe(page(), FIELDS, None)
-    wanted = create_observation("Press it.", root_dom(page()), observed["screenshot"], FIELDS)
-    assert list(differences(observed, wanted)) == []
-    assert observed in package.observation_space
+def test_our_observation_equals_the_packages_observation_of_the_dom_tree() -> None:
+    adapter = MiniWoBAdapter.of("enter-text")
+    observation = adapter.observe(page(), FIELDS, None)
+    wanted = create_observation("Press it.", root_dom(page()), observation["screenshot"], FIELDS)
+    assert list(differences(observation, wanted)) == []
+    assert observation in adapter.observation_space
 
 
-def test_nothing_in_an_observation_belongs_to_another() -> None:
-    seen = page()
-    first, second = (MiniWoBAdapter.of("enter-text").observe(seen, FIELDS, None) for _ in range(2))
+def test_two_observations_share_no_arrays() -> None:
+    shared = page()
+    first, second = (MiniWoBAdapter.of("enter-text").observe(shared, FIELDS, None) for _ in range(2))
     first["dom_elements"][1]["left"][0] = first["dom_elements"][1]["flags"][0] = 9
     assert second["dom_elements"][1]["left"][0] != 9
     assert second["dom_elements"][1]["flags"][0] != 9
@@ -160,11 +166,11 @@ def test_nothing_in_an_observation_belongs_to_another() -> None:
         ("color(srgb 1 0 0)", (1, 1, 1, 1)),
     ],
 )
-def test_colours_are_four_numbers_and_what_cannot_be_read_is_white(colour: str, wanted: tuple[float, ...]) -> None:
+def test_colours_become_rgba_and_unknown_notations_become_white(colour: str, wanted: tuple[float, ...]) -> None:
     assert rgba(colour) == pytest.approx(wanted)
 
 
-def test_importing_the_farm_registers_the_environment_and_loads_no_browser() -> None:
+def test_importing_browser_farm_registers_the_environment_and_loads_no_browser_library() -> None:
     script = (
         "import sys, browser_farm, gymnasium\n"
         "assert 'giirl/MiniWoB-v0' in gymnasium.registry\n"

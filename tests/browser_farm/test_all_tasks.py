@@ -1,4 +1,4 @@
-"""Every task there is opens, takes every action, and shows the same page for the same seed, whatever came before."""
+"""Every task opens, takes every action, and shows the same page for the same seed, whatever was played before."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from browser_farm.farm import ChromeFarm
-from browser_farm.tasks import STICKY, tasks
+from browser_farm.tasks import STATEFUL_TASKS, tasks
 from giirl_core.types import Action, Command, EpisodeSpec, Observation, StepResult, Verb
-from tests.browser_farm.real_farm import seen
+from tests.browser_farm.real_farm import content
 
 TABS = 8
-ROUNDS = 60  # of random play, until each page has shown what it carries over
+MAX_ROUNDS = 60  # of random play, until each stateful page has kept some state
 
 
 def registered() -> set[str]:
@@ -24,7 +24,7 @@ def registered() -> set[str]:
     return set(re.findall(r'id="miniwob/(.+)-v1"', source))
 
 
-def test_every_registered_task_is_reached_by_name_and_by_family() -> None:
+def test_every_registered_task_is_found_by_name_and_by_family() -> None:
     assert len(registered()) == 128
     assert registered() <= set(tasks())
     assert tasks("email-inbox")[:2] == ("email-inbox", "email-inbox-delete")
@@ -33,9 +33,9 @@ def test_every_registered_task_is_reached_by_name_and_by_family() -> None:
         tasks("flite")
 
 
-def some_action(shown: Observation, rng: np.random.Generator) -> Action:
-    """Any verb on any row."""
-    row = int(rng.integers(len(shown.page)))
+def random_action(observation: Observation, rng: np.random.Generator) -> Action:
+    """A random verb on a random row."""
+    row = int(rng.integers(len(observation.page)))
     by = (float(rng.integers(-60, 60)), float(rng.integers(-60, 60)))
     return (
         Action(verb=Verb.CLICK, element=row),
@@ -54,76 +54,80 @@ def chrome() -> Iterator[ChromeFarm]:
         yield farm
 
 
-def disturb(chrome: ChromeFarm, names: list[str], rng: np.random.Generator) -> None:
-    """Play anything, through ends of episodes and on to others."""
-    shown = chrome.reset({tab: EpisodeSpec(task=name, seed=100 + tab) for tab, name in enumerate(names)})
+def play_randomly(chrome: ChromeFarm, names: list[str], rng: np.random.Generator) -> None:
+    """Play random actions, past the ends of some episodes."""
+    observations = chrome.reset({tab: EpisodeSpec(task=name, seed=100 + tab) for tab, name in enumerate(names)})
     for step in range(8):
         commands = {}
-        for tab, observation in shown.items():
+        for tab, observation in observations.items():
             following = EpisodeSpec(task=names[tab], seed=int(rng.integers(1 << 20)))
-            action = some_action(observation, rng)
+            action = random_action(observation, rng)
             commands[tab] = Command.of(action, observation, last=step % 4 == 3, following=following)
         for tab, result in chrome.step(commands).items():
             assert (result.lost, names[tab]) == ("", names[tab])
             assert result.observation is not None
-            shown[tab] = result.observation
+            observations[tab] = result.observation
 
 
 @pytest.mark.chrome
 @pytest.mark.slow
 @pytest.mark.parametrize("first", range(0, len(tasks()), TABS))
-def test_same_seed_same_page_in_whatever_tab_and_after_whatever_history(chrome: ChromeFarm, first: int) -> None:
+def test_the_same_seed_gives_the_same_page_in_every_tab_and_after_any_history(chrome: ChromeFarm, first: int) -> None:
     names = list(tasks()[first : first + TABS])
-    there = {tab: EpisodeSpec(task=name, seed=7) for tab, name in enumerate(names)}
-    chrome.reset({tab: EpisodeSpec(task="click-test", seed=0) for tab in there})  # so that each is a new document
-    fresh = {names[tab]: seen(observation) for tab, observation in chrome.reset(there).items()}
-    disturb(chrome, names, np.random.default_rng(first))
-    assert {names[tab]: seen(shown) for tab, shown in chrome.reset(there).items()} == fresh
-    turned = names[1:] + names[:1]
-    elsewhere = {tab: EpisodeSpec(task=name, seed=7) for tab, name in enumerate(turned)}
-    assert {turned[tab]: seen(shown) for tab, shown in chrome.reset(elsewhere).items()} == fresh
+    episodes = {tab: EpisodeSpec(task=name, seed=7) for tab, name in enumerate(names)}
+    chrome.reset({tab: EpisodeSpec(task="click-test", seed=0) for tab in episodes})  # so that each loads a new document
+    fresh = {names[tab]: content(observation) for tab, observation in chrome.reset(episodes).items()}
+    play_randomly(chrome, names, np.random.default_rng(first))
+    assert {names[tab]: content(observation) for tab, observation in chrome.reset(episodes).items()} == fresh
+    rotated = names[1:] + names[:1]
+    other_tabs = {tab: EpisodeSpec(task=name, seed=7) for tab, name in enumerate(rotated)}
+    assert {rotated[tab]: content(observation) for tab, observation in chrome.reset(other_tabs).items()} == fresh
 
 
 @pytest.mark.chrome
 @pytest.mark.slow
-@pytest.mark.parametrize("names", [sorted(STICKY)[first : first + TABS] for first in range(0, len(STICKY), TABS)])
-def test_pages_that_are_loaded_anew_would_carry_something_over_to_the_next_episode(
+@pytest.mark.parametrize(
+    "names", [sorted(STATEFUL_TASKS)[first : first + TABS] for first in range(0, len(STATEFUL_TASKS), TABS)]
+)
+def test_stateful_pages_keep_state_when_they_are_not_reloaded(
     chrome: ChromeFarm, names: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    there = {tab: EpisodeSpec(task=name, seed=7) for tab, name in enumerate(names)}
-    chrome.reset({tab: EpisodeSpec(task="click-test", seed=0) for tab in there})
-    fresh = {tab: seen(observation) for tab, observation in chrome.reset(there).items()}
+    episodes = {tab: EpisodeSpec(task=name, seed=7) for tab, name in enumerate(names)}
+    chrome.reset({tab: EpisodeSpec(task="click-test", seed=0) for tab in episodes})
+    fresh = {tab: content(observation) for tab, observation in chrome.reset(episodes).items()}
     monkeypatch.setattr("browser_farm.farm.needs_fresh_document", lambda task: False)
-    carried: set[str] = set()
-    for number in range(ROUNDS):
-        disturb(chrome, names, np.random.default_rng(number))
-        carried |= {names[tab] for tab, observation in chrome.reset(there).items() if seen(observation) != fresh[tab]}
-        if len(carried) == len(names):
+    stateful: set[str] = set()
+    for number in range(MAX_ROUNDS):
+        play_randomly(chrome, names, np.random.default_rng(number))
+        stateful |= {
+            names[tab] for tab, observation in chrome.reset(episodes).items() if content(observation) != fresh[tab]
+        }
+        if len(stateful) == len(names):
             break
-    assert carried == set(names)
+    assert stateful == set(names)
 
 
 @pytest.mark.chrome
 @pytest.mark.parametrize("task", ["email-inbox", "social-media-all", "text-editor", "click-menu-2"])
 def test_tabs_that_share_a_process_and_its_images_show_the_same_page(chrome: ChromeFarm, task: str) -> None:
     chrome.reset({tab: EpisodeSpec(task="click-test", seed=0) for tab in range(TABS)})
-    shown = chrome.reset({tab: EpisodeSpec(task=task, seed=1) for tab in range(TABS)})
-    assert len({seen(observation) for observation in shown.values()}) == 1
-    assert task != "email-inbox" or "star" in shown[0].page.classes
+    observations = chrome.reset({tab: EpisodeSpec(task=task, seed=1) for tab in range(TABS)})
+    assert len({content(observation) for observation in observations.values()}) == 1
+    assert task != "email-inbox" or "star" in observations[0].page.classes
 
 
 @pytest.mark.chrome
-def test_time_goes_on_with_every_step_and_never_between(chrome: ChromeFarm) -> None:
-    """A shape that moves is where it is after so many steps, however long they took."""
-    places = []
+def test_virtual_time_passes_in_steps_only(chrome: ChromeFarm) -> None:
+    """The position of a moving shape depends on the number of steps, not on the time they took."""
+    tracks = []
     for _ in range(2):
-        shown = chrome.reset({0: EpisodeSpec(task="chase-circle", seed=3)})[0]
-        track = [shown.page.box[shown.page.tag.index("circle")].tolist()]
+        page = chrome.reset({0: EpisodeSpec(task="chase-circle", seed=3)})[0].page
+        track = [page.box[page.tag.index("circle")].tolist()]
         for _ in range(4):
             result: StepResult = chrome.step({0: Command(verb=Verb.WAIT)})[0]
             assert result.observation is not None
             page = result.observation.page
             track.append(page.box[page.tag.index("circle")].tolist())
-        places.append(track)
-    assert places[0] == places[1]
-    assert len({tuple(place) for place in places[0]}) == 5
+        tracks.append(track)
+    assert tracks[0] == tracks[1]
+    assert len({tuple(box) for box in tracks[0]}) == 5

@@ -1,4 +1,4 @@
-"""Whole farms with a real Chrome: what they show, and what they survive."""
+"""A farm with a real Chrome: its observations, and its recovery from failures."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import threading
 import psutil
 import pytest
 
-from browser_farm.tasks import STICKY
+from browser_farm.tasks import STATEFUL_TASKS
 from giirl_core.types import Command, EpisodeSpec, StepResult, Verb
-from tests.browser_farm.real_farm import Farm, click, seen
+from tests.browser_farm.real_farm import Farm, click, content
 
 pytestmark = pytest.mark.chrome
 
 
-def play_anything(farm: Farm, task: str, steps: int) -> None:
+def play_scripted_steps(farm: Farm, task: str, steps: int) -> None:
     observations = farm.open(task, 500, 501, 502)
     for step in range(steps):
         commands = {}
@@ -37,26 +37,26 @@ def play_anything(farm: Farm, task: str, steps: int) -> None:
     "task",
     ["click-test-2", "click-button", "enter-text", "email-inbox", "choose-list", "enter-date", "use-slider"],
 )
-def test_the_same_seed_shows_the_same_page_whatever_the_tab_showed_before(farm: Farm, task: str) -> None:
+def test_the_same_seed_gives_the_same_page_whatever_the_tab_showed_before(farm: Farm, task: str) -> None:
     farm.open("click-test", 1)
-    fresh = seen(farm.open(task, 42)[0])
-    play_anything(farm, task, 12)
-    assert [seen(observation) for observation in farm.open(task, 42, 42, 42).values()] == [fresh] * 3
-    assert seen(farm.open(task, 43)[0]) != fresh or task in STICKY
+    fresh = content(farm.open(task, 42)[0])
+    play_scripted_steps(farm, task, 12)
+    assert [content(observation) for observation in farm.open(task, 42, 42, 42).values()] == [fresh] * 3
+    assert content(farm.open(task, 43)[0]) != fresh or task in STATEFUL_TASKS
     assert farm.causes == []
 
 
-def test_a_following_episode_is_the_page_that_a_reset_would_show(farm: Farm) -> None:
-    expected = {task: seen(farm.open(task, 77)[0]) for task in ("click-button", "enter-text")}
+def test_a_following_episode_shows_the_same_page_as_a_reset(farm: Farm) -> None:
+    expected = {task: content(farm.open(task, 77)[0]) for task in ("click-button", "enter-text")}
     for task, page in expected.items():
         observation = farm.open("click-button", 5)[0]
         command = Command(verb=Verb.CLICK, ref=0, last=True, following=EpisodeSpec(task=task, seed=77))
         result = farm.chrome.step({0: command})[0]
-        assert (seen(result.observation), result.done, result.raw_reward) == (page, False, 0.0)
+        assert (content(result.observation), result.done, result.raw_reward) == (page, False, 0.0)
         assert observation.episode.seed == 5
 
 
-def test_typing_replaces_what_a_field_held_and_marks_it(farm: Farm) -> None:
+def test_typing_replaces_the_value_of_a_field_and_marks_it_as_tampered(farm: Farm) -> None:
     observation = farm.open("enter-text", 3)[0]
     field = observation.page.tag.index("input_text")
     for text in ('two "words"', "Zoë\u2028", ""):
@@ -73,7 +73,7 @@ def test_typing_replaces_what_a_field_held_and_marks_it(farm: Farm) -> None:
         assert page.tampered.sum() == 1
 
 
-def test_a_list_that_is_closed_still_lets_its_options_be_chosen(farm: Farm) -> None:
+def test_options_of_a_closed_list_can_be_clicked(farm: Farm) -> None:
     observation = farm.open("choose-list", 3)[0]
     wanted = observation.goal.utterance.removeprefix("Select ").split(" from the list")[0]
     result = farm.chrome.step({0: click(observation, observation.page.text.index(wanted))})[0]
@@ -82,24 +82,24 @@ def test_a_list_that_is_closed_still_lets_its_options_be_chosen(farm: Farm) -> N
     assert (result.done, result.raw_reward) == (True, 1.0)
 
 
-def test_a_handle_that_is_not_on_the_page_does_nothing(farm: Farm) -> None:
+def test_a_ref_that_is_not_on_the_page_does_nothing(farm: Farm) -> None:
     before = farm.open("click-test-2", 3)[0]
     for ref in (-5, 12345):
         command = Command(verb=Verb.CLICK, ref=ref, following=EpisodeSpec(task="click-test-2", seed=4))
         result = farm.chrome.step({0: command})[0]
-        assert (result.done, result.lost, seen(result.observation)) == (False, "", seen(before))
+        assert (result.done, result.lost, content(result.observation)) == (False, "", content(before))
 
 
-def test_no_observation_comes_where_no_episode_follows(farm: Farm) -> None:
+def test_a_step_without_a_following_episode_returns_no_observation(farm: Farm) -> None:
     observation = farm.open("click-test", 3)[0]
     assert farm.chrome.step({0: click(observation, 1, seed=None)})[0] == StepResult(
         raw_reward=1.0, done=True, observation=None
     )
-    with pytest.raises(ValueError, match="tab 0 shows no episode"):
+    with pytest.raises(ValueError, match="tab 0 has no episode"):
         farm.chrome.step({0: click(observation, 1)})
 
 
-def test_a_page_that_loops_for_ever_is_lost_alone_and_its_tab_goes_on(farm: Farm) -> None:
+def test_an_endless_loop_loses_only_its_own_episode_and_its_tab_continues(farm: Farm) -> None:
     observations = farm.open("click-test-2", 3, 4, 5)
     farm.on_click(1, "while (true);")
     results = farm.chrome.step({tab: click(observation, 1) for tab, observation in observations.items()})
@@ -108,43 +108,43 @@ def test_a_page_that_loops_for_ever_is_lost_alone_and_its_tab_goes_on(farm: Farm
         (False, "page_hung"),
         (True, ""),
     ]
-    assert len({seen(result.observation) for result in results.values()}) == 1
+    assert len({content(result.observation) for result in results.values()}) == 1
     assert farm.causes == ["page_hung"]
 
 
 @pytest.mark.parametrize("dialog", ["alert('hello')", "confirm('sure?')", "prompt('who?')"])
-def test_a_dialog_is_dismissed_and_the_episode_goes_on(farm: Farm, dialog: str) -> None:
+def test_a_dialog_is_accepted_and_the_episode_continues(farm: Farm, dialog: str) -> None:
     observation = farm.open("click-test-2", 3)[0]
     farm.on_click(0, dialog)
     result = farm.chrome.step({0: click(observation, 1)})[0]
     assert (result.raw_reward, result.done, result.lost, farm.causes) == (1.0, True, "", [])
 
 
-def test_a_page_that_leaves_is_lost_at_the_next_step(farm: Farm) -> None:
+def test_an_episode_whose_page_navigated_away_is_lost_at_the_next_step(farm: Farm) -> None:
     observation = farm.open("click-test-2", 3)[0]
-    assert farm.chrome._tabs.navigate({0: "about:blank"}) == {}  # by a script it would leave a moment later
+    assert farm.chrome._tabs.navigate({0: "about:blank"}) == {}  # a script would navigate only after the step
     result = farm.chrome.step({0: click(observation, 0)})[0]
     assert (result.lost, result.done, farm.causes) == ("navigated", False, ["navigated"])
-    assert seen(result.observation) == seen(farm.open("click-test-2", 900)[0])
+    assert content(result.observation) == content(farm.open("click-test-2", 900)[0])
 
 
-def test_a_crash_takes_the_tabs_of_its_process_alone_and_all_come_back(farm: Farm) -> None:
+def test_a_crash_affects_only_the_tabs_of_its_process_and_all_recover(farm: Farm) -> None:
     observations = farm.open("click-test-2", 3, 4, 5)
     tabs = farm.chrome._tabs
-    together = sorted(tabs._hub(0).tabs)
+    same_process = sorted(tabs._hub(0).tabs)
     tabs._tools.post(tabs._tab(0).session, "Page.crash")
     results = farm.chrome.step({0: click(observations[0], 1)})
     results |= farm.chrome.step({tab: click(observations[tab], 1) for tab in (1, 2)})
     assert {tab: result.lost for tab, result in results.items()} == {
-        tab: "tab_crashed" if tab in together else "" for tab in (0, 1, 2)
+        tab: "tab_crashed" if tab in same_process else "" for tab in (0, 1, 2)
     }
-    assert (together, farm.causes) == ([0, 2], ["tab_crashed"] * 2)
+    assert (same_process, farm.causes) == ([0, 2], ["tab_crashed"] * 2)
     again = {tab: result.observation for tab, result in results.items() if result.observation is not None}
     done = farm.chrome.step({tab: click(observation, 1) for tab, observation in again.items()})
     assert [result.raw_reward for result in done.values()] == [1.0] * 3
 
 
-def test_a_loop_costs_the_page_that_is_in_it_even_where_others_share_its_process(farm: Farm) -> None:
+def test_an_endless_loop_does_not_affect_the_other_tabs_of_its_process(farm: Farm) -> None:
     observations = farm.open("click-test-2", 3, 4, 5)
     farm.on_click(0, "while (true);")
     results = farm.chrome.step({tab: click(observation, 1) for tab, observation in observations.items()})
@@ -155,7 +155,7 @@ def test_a_loop_costs_the_page_that_is_in_it_even_where_others_share_its_process
     }
 
 
-def test_a_page_reaches_no_network_not_even_this_machine(farm: Farm) -> None:
+def test_a_page_has_no_network_access_even_to_localhost(farm: Farm) -> None:
     listener = subprocess.Popen(
         [sys.executable, "-m", "http.server", "0", "--bind", "127.0.0.1"],
         stdout=subprocess.PIPE,
@@ -168,7 +168,7 @@ def test_a_page_reaches_no_network_not_even_this_machine(farm: Farm) -> None:
         farm.open("click-test", 3)
         address = f"http://127.0.0.1:{port}/"
         fetch = f"fetch('{address}', {{mode: 'no-cors'}}).then(() => 'reached', () => 'refused')"
-        answers = farm.chrome._tabs.evaluate({0: fetch}, promised=True)
+        answers = farm.chrome._tabs.evaluate({0: fetch}, await_promise=True)
         assert answers == {0: "refused"}
     finally:
         listener.kill()
@@ -176,11 +176,11 @@ def test_a_page_reaches_no_network_not_even_this_machine(farm: Farm) -> None:
 
 
 @pytest.mark.parametrize("victim", ["chrome", "chromedriver"])
-def test_a_killed_browser_comes_back_with_all_its_tabs(farm: Farm, victim: str) -> None:
+def test_a_killed_browser_is_relaunched_with_all_its_tabs(farm: Farm, victim: str) -> None:
     observations = farm.open("click-test-2", 3, 4, 5)
     before = farm.pids()
-    named = [pid for pid in before if psutil.Process(pid).name().startswith("chromedriver") == (victim != "chrome")]
-    for pid in named:
+    victims = [pid for pid in before if psutil.Process(pid).name().startswith("chromedriver") == (victim != "chrome")]
+    for pid in victims:
         os.kill(pid, signal.SIGKILL)
     first = farm.chrome.step({0: click(observations[0], 1)})
     rest = farm.chrome.step({tab: click(observations[tab], 1) for tab in (1, 2)})
@@ -190,10 +190,10 @@ def test_a_killed_browser_comes_back_with_all_its_tabs(farm: Farm, victim: str) 
         assert not any(psutil.pid_exists(pid) and psutil.Process(pid).status() != "zombie" for pid in before)
     else:
         assert (lost, farm.causes) == ([""] * 3, [])
-    assert len({seen(result.observation) for result in (*first.values(), *rest.values())}) == 1
+    assert len({content(result.observation) for result in (*first.values(), *rest.values())}) == 1
 
 
-def test_a_browser_that_is_alive_but_silent_is_replaced(farm: Farm) -> None:
+def test_a_browser_that_stops_answering_is_relaunched(farm: Farm) -> None:
     observations = farm.open("click-test-2", 3, 4, 5)
     for pid in farm.pids():
         os.kill(pid, signal.SIGSTOP)
@@ -202,7 +202,7 @@ def test_a_browser_that_is_alive_but_silent_is_replaced(farm: Farm) -> None:
     assert farm.causes == ["browser_died"]
 
 
-def test_a_browser_that_dies_while_it_is_asked_is_replaced(farm: Farm) -> None:
+def test_a_browser_that_dies_during_a_call_is_relaunched(farm: Farm) -> None:
     observations = farm.open("click-test-2", 3, 4, 5)
     for tab in observations:
         farm.on_click(tab, "while (true);")

@@ -1,4 +1,4 @@
-"""A farm's Chrome begins and ends with its owner, however that one ends."""
+"""A farm's Chrome starts and ends with its owner, in whatever way the owner ends."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ time.sleep(60)
 """
 
 
-@pytest.mark.parametrize("spare", ["", "chromedriver"])
-def test_no_chrome_outlives_an_owner_that_was_killed(spare: str) -> None:
+@pytest.mark.parametrize("kill_first", ["", "chromedriver"])
+def test_no_chrome_outlives_an_owner_that_was_killed(kill_first: str) -> None:
     owner = subprocess.Popen([sys.executable, "-c", OWNER], cwd=ROOT, stdout=subprocess.PIPE)
     assert owner.stdout is not None
     directory = Path(owner.stdout.readline().decode().strip())
     started = reaper.processes(directory)
     assert len(started) > 3
     for pid in started:
-        if spare and psutil.Process(pid).name().startswith(spare):
-            os.kill(pid, signal.SIGKILL)  # Chrome is an orphan before its owner dies
+        if kill_first and psutil.Process(pid).name().startswith(kill_first):
+            os.kill(pid, signal.SIGKILL)  # Chrome becomes an orphan before its owner dies
     owner.kill()
     owner.communicate()
     deadline = time.monotonic() + 15
@@ -54,19 +54,19 @@ def test_no_chrome_outlives_an_owner_that_was_killed(spare: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_browser_killed_again_and_again_leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch) -> None:
-    with tempfile.TemporaryDirectory(prefix="fr-", dir="/tmp") as name:  # short, as Chrome's sockets want it
+def test_repeated_relaunches_leave_no_processes_or_files_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    with tempfile.TemporaryDirectory(prefix="fr-", dir="/tmp") as name:  # short: Chrome's socket paths are limited
         folder = Path(name)
         monkeypatch.setattr("tempfile.tempdir", name)
-        found = relaunches.run(3, folder)
-        assert found["after"] == found["before"]
-        assert found["before"]["chromes"] == found["before"]["folders"] == 1
+        counts = relaunches.run(3, folder)
+        assert counts["after"] == counts["before"]
+        assert counts["before"]["chromes"] == counts["before"]["folders"] == 1
         assert list(folder.glob("giirl-chrome-*")) == []
 
 
 @pytest.fixture
 def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], Path]]:
-    """Makes the temporary directory a file system of its own, with these options."""
+    """A function that mounts a file system with the given options as the temporary directory."""
     if os.geteuid() != 0 or shutil.which("mount") is None:
         pytest.skip("only root may mount a file system")
     folder = Path(tempfile.mkdtemp(prefix="fd-", dir="/tmp"))
@@ -86,7 +86,9 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], Path]]:
 @pytest.mark.parametrize(
     ("options", "why"), [("ro", "Read-only file system"), ("size=4k,nr_inodes=2", "No space left on device")]
 )
-def test_a_profile_that_cannot_be_written_is_one_line(disk: Callable[[str], Path], options: str, why: str) -> None:
+def test_a_profile_that_cannot_be_written_raises_a_one_line_error(
+    disk: Callable[[str], Path], options: str, why: str
+) -> None:
     folder = disk(options)
     with pytest.raises(RuntimeError, match=f"Chrome did not start in 3 attempts: .*{why}") as caught:
         ChromeFarm(tabs=1, launch_timeout_s=20.0)
@@ -94,7 +96,7 @@ def test_a_profile_that_cannot_be_written_is_one_line(disk: Callable[[str], Path
     assert list(folder.iterdir()) == []
 
 
-def test_a_disk_that_fills_up_while_pages_are_played_stops_nothing(disk: Callable[[str], Path]) -> None:
+def test_a_disk_that_fills_up_during_episodes_does_not_stop_them(disk: Callable[[str], Path]) -> None:
     folder = disk("size=200m")
     with ChromeFarm(tabs=1, call_timeout_s=20.0) as farm:
         farm.reset({0: EpisodeSpec(task="click-test", seed=1)})
@@ -106,7 +108,7 @@ def test_a_disk_that_fills_up_while_pages_are_played_stops_nothing(disk: Callabl
             assert farm.reset({0: EpisodeSpec(task=task, seed=1)})[0].goal.tokens
 
 
-def test_closing_twice_is_closing_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_closing_twice_is_allowed_and_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     farm = ChromeFarm(tabs=1)
     directory = Path(farm.chrome_directory)
@@ -120,7 +122,7 @@ def test_closing_twice_is_closing_and_leaves_nothing(tmp_path: Path, monkeypatch
 
 
 @pytest.mark.parametrize("behaviour", ["exit 1", "sleep 60"])
-def test_a_chrome_that_never_comes_up_is_one_line_after_three_tries(
+def test_a_chrome_that_never_starts_raises_a_one_line_error_after_three_attempts(
     behaviour: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     program = tmp_path / "chrome"
@@ -133,7 +135,7 @@ def test_a_chrome_that_never_comes_up_is_one_line_after_three_tries(
     assert (tmp_path / "log").read_text().count("started") == 3
 
 
-def test_chrome_is_out_of_reach_of_the_ctrl_c_of_its_owner_and_of_a_proxy(
+def test_chrome_ignores_ctrl_c_in_its_owners_terminal_and_proxy_settings(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for name in ("http_proxy", "HTTP_PROXY", "https_proxy", "all_proxy"):

@@ -1,4 +1,4 @@
-"""The Gymnasium environments on a real Chrome: one place and many."""
+"""The Gymnasium environments on a real Chrome, single and vectorised."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from browser_farm.gym.vector_env import MiniWoBVector
 pytestmark = pytest.mark.chrome
 
 TASKS = ["click-button", "enter-text"]
-PLACES = 2
-LIMIT = 4
+NUM_ENVS = 2
+MAX_STEPS = 4
 
 
-def tenfold(told: Mapping[str, Any]) -> float:
-    return 10.0 * float(told["raw_reward"])
+def tenfold(info: Mapping[str, Any]) -> float:
+    return 10.0 * float(info["raw_reward"])
 
 
 @pytest.fixture(scope="module")
@@ -43,16 +43,18 @@ def env() -> Iterator[MiniWoB]:
 
 @pytest.fixture(scope="module")
 def envs() -> Iterator[MiniWoBVector]:
-    made = gymnasium.make_vec("giirl/MiniWoB-v0", num_envs=PLACES, task=TASKS, max_episode_steps=LIMIT, root_dom=True)
+    made = gymnasium.make_vec(
+        "giirl/MiniWoB-v0", num_envs=NUM_ENVS, task=TASKS, max_episode_steps=MAX_STEPS, root_dom=True
+    )
     assert isinstance(made, MiniWoBVector)
     yield made
     made.close()
 
 
-def press_first(env: MiniWoB, observed: dict[str, Any], *, right: bool) -> dict[str, Any]:
-    """Press the first button that the instruction names, or the first that it does not."""
-    wanted = dict(observed["fields"])["target"]
-    ref = next(e["ref"] for e in observed["dom_elements"] if e["tag"] == "button" and (e["text"] == wanted) == right)
+def click_button(env: MiniWoB, observation: dict[str, Any], *, right: bool) -> dict[str, Any]:
+    """An action on the first button that the instruction names, or on the first other one."""
+    wanted = dict(observation["fields"])["target"]
+    ref = next(e["ref"] for e in observation["dom_elements"] if e["tag"] == "button" and (e["text"] == wanted) == right)
     return env.create_action("CLICK_ELEMENT", ref=ref)
 
 
@@ -62,7 +64,7 @@ def kill_browser(farm: ChromeFarm) -> None:
             os.kill(pid, signal.SIGKILL)
 
 
-# ---- one place
+# ---- a single environment
 
 
 @pytest.mark.filterwarnings("ignore:.*Box action spaces")  # the package's own coordinates are pixels
@@ -70,49 +72,49 @@ def test_gymnasium_accepts_the_environment(env: MiniWoB) -> None:
     check_env(env, skip_render_check=True, skip_close_check=True)
 
 
-def test_a_wrong_button_costs_and_the_right_one_pays_and_the_end_is_told_again(env: MiniWoB) -> None:
+def test_the_reward_tells_right_from_wrong_and_later_steps_return_it_again(env: MiniWoB) -> None:
     for right, raw in ((True, 1.0), (False, -1.0)):
-        observed, info = env.reset(seed=4)
+        observation, info = env.reset(seed=4)
         assert (info["seed"], info["done"], info["root_dom"].tag) == (4, False, "body")
-        observed, paid, terminated, truncated, info = env.step(press_first(env, observed, right=right))
-        assert (paid, terminated, truncated) == (10 * raw, True, False)
+        observation, reward, terminated, truncated, info = env.step(click_button(env, observation, right=right))
+        assert (reward, terminated, truncated) == (10 * raw, True, False)
         assert (info["raw_reward"], info["env_reward"], info["done"]) == (raw, raw, True)
-        assert observed["dom_elements"] == ()
+        assert observation["dom_elements"] == ()
         assert env.step(None)[1:4] == (10 * raw, True, False)
 
 
-def test_pages_drawn_after_a_seed_are_the_same_each_time(env: MiniWoB) -> None:
-    def drawn() -> list[int]:
+def test_the_page_seeds_sampled_after_a_seeded_reset_are_reproducible(env: MiniWoB) -> None:
+    def sampled() -> list[int]:
         env.reset(seed=9)
         return [env.reset()[1]["seed"] for _ in range(3)]
 
-    assert drawn() == drawn()
-    assert len(set(drawn())) == 3
+    assert sampled() == sampled()
+    assert len(set(sampled())) == 3
 
 
-def test_a_screenshot_is_taken_when_asked_for_and_black_otherwise(env: MiniWoB) -> None:
+def test_a_screenshot_is_taken_only_if_requested_and_black_otherwise(env: MiniWoB) -> None:
     black, _ = env.reset(seed=4)
-    shown, _ = env.reset(seed=4, options={"record_screenshots": True})
+    recorded, _ = env.reset(seed=4, options={"record_screenshots": True})
     env.set_record_screenshots(False)
     assert not black["screenshot"].any()
-    assert shown in env.observation_space
-    assert shown["screenshot"].shape == (210, 160, 3)
-    assert len(np.unique(shown["screenshot"].reshape(-1, 3), axis=0)) > 20
+    assert recorded in env.observation_space
+    assert recorded["screenshot"].shape == (210, 160, 3)
+    assert len(np.unique(recorded["screenshot"].reshape(-1, 3), axis=0)) > 20
     assert env.render() is None
-    assert list(differences({**shown, "screenshot": None}, {**black, "screenshot": None})) == []
+    assert list(differences({**recorded, "screenshot": None}, {**black, "screenshot": None})) == []
 
 
-def test_a_killed_browser_cuts_the_episode_off_and_the_next_reset_works(env: MiniWoB) -> None:
-    observed, _ = env.reset(seed=4)
+def test_a_killed_browser_truncates_the_episode_and_the_next_reset_works(env: MiniWoB) -> None:
+    observation, _ = env.reset(seed=4)
     kill_browser(env._farm)
-    observed, reward, terminated, truncated, info = env.step(press_first(env, observed, right=True))
+    observation, reward, terminated, truncated, info = env.step(click_button(env, observation, right=True))
     assert (reward, terminated, truncated, info["lost"]) == (0.0, False, True, "browser_died")
-    observed, info = env.reset(seed=4)
+    observation, info = env.reset(seed=4)
     assert "lost" not in info
-    assert env.step(press_first(env, observed, right=True))[1] == 10.0
+    assert env.step(click_button(env, observation, right=True))[1] == 10.0
 
 
-def test_a_task_that_does_not_exist_starts_no_browser(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unknown_task_starts_no_browser(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("browser_farm.gym.env.ChromeFarm", lambda **_: pytest.fail("started"))
     with pytest.raises(ValueError, match="no MiniWoB task 'click-buton': did you mean 'click-button'"):
         gymnasium.make("giirl/MiniWoB-v0", task="click-buton")
@@ -122,7 +124,7 @@ def test_a_task_that_does_not_exist_starts_no_browser(monkeypatch: pytest.Monkey
         unopened.step(None)
 
 
-# ---- many places
+# ---- the vector environment
 
 
 def random_actions(envs: MiniWoBVector, seed: int) -> Iterator[Any]:
@@ -131,84 +133,84 @@ def random_actions(envs: MiniWoBVector, seed: int) -> Iterator[Any]:
         yield envs.action_space.sample()
 
 
-def test_many_places_give_observations_of_their_batched_space(envs: MiniWoBVector) -> None:
-    observed, infos = envs.reset(seed=20)
-    assert observed in envs.observation_space
+def test_vector_observations_are_in_the_batched_space(envs: MiniWoBVector) -> None:
+    observation, infos = envs.reset(seed=20)
+    assert observation in envs.observation_space
     assert list(infos["seed"]) == [20, 21]
     assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    for _, actions in zip(range(2 * LIMIT), random_actions(envs, 5), strict=False):
-        observed, rewards, terminated, truncated, infos = envs.step(actions)
-        assert observed in envs.observation_space
-        assert rewards.shape == terminated.shape == truncated.shape == (PLACES,)
+    for _, actions in zip(range(2 * MAX_STEPS), random_actions(envs, 5), strict=False):
+        observation, rewards, terminated, truncated, infos = envs.step(actions)
+        assert observation in envs.observation_space
+        assert rewards.shape == terminated.shape == truncated.shape == (NUM_ENVS,)
         assert (infos["done"] == terminated).all()
 
 
-def test_each_place_goes_on_as_an_environment_of_its_own_would(envs: MiniWoBVector) -> None:
-    """Same seeds, same actions: observations, rewards, ends and the pages that follow."""
-    observed, infos = envs.reset(seed=31)
+def test_each_environment_behaves_like_a_single_one(envs: MiniWoBVector) -> None:
+    """Compares observations, rewards, ends and following pages for the same seeds and actions."""
+    observation, infos = envs.reset(seed=31)
     singles = [MiniWoB(task) for task in TASKS]
     try:
-        expected = [each.reset(seed=31 + at) for at, each in enumerate(singles)]
-        taken, over = [0] * PLACES, [False] * PLACES
-        for actions in [next(random_actions(envs, seed)) for seed in range(3 * LIMIT)]:
-            for at, (one, info) in enumerate(expected):
-                assert all(infos[key][at] == info[key] for key in ("seed", "raw_reward", "reason"))
+        expected = [single.reset(seed=31 + index) for index, single in enumerate(singles)]
+        steps, finished = [0] * NUM_ENVS, [False] * NUM_ENVS
+        for actions in [next(random_actions(envs, seed)) for seed in range(3 * MAX_STEPS)]:
+            for index, (one, info) in enumerate(expected):
+                assert all(infos[key][index] == info[key] for key in ("seed", "raw_reward", "reason"))
                 for key in ("utterance", "fields", "dom_elements"):
-                    assert list(differences(observed[key][at], one[key])) == []
+                    assert list(differences(observation[key][index], one[key])) == []
             ends = []
-            for at, each in enumerate(singles):
-                if over[at]:
-                    expected[at], taken[at], reward, done = each.reset(), 0, 0.0, False
+            for index, single in enumerate(singles):
+                if finished[index]:
+                    expected[index], steps[index], reward, done = single.reset(), 0, 0.0, False
                 else:
-                    action = {key: values[at] for key, values in actions.items()}
-                    one, reward, done, _, info = each.step(action)
-                    expected[at], taken[at] = (one, info), taken[at] + 1
-                over[at] = done or taken[at] == LIMIT
-                ends.append((reward, done, over[at] and not done))
-            observed, rewards, terminated, truncated, infos = envs.step(actions)
+                    action = {key: values[index] for key, values in actions.items()}
+                    one, reward, done, _, info = single.step(action)
+                    expected[index], steps[index] = (one, info), steps[index] + 1
+                finished[index] = done or steps[index] == MAX_STEPS
+                ends.append((reward, done, finished[index] and not done))
+            observation, rewards, terminated, truncated, infos = envs.step(actions)
             assert list(zip(rewards, terminated, truncated, strict=True)) == ends
     finally:
-        for each in singles:
-            each.close()
+        for single in singles:
+            single.close()
 
 
-def test_a_step_is_one_call_to_each_tab_and_restarting_costs_none(
+def test_a_step_is_one_call_to_each_tab_and_a_restart_needs_none(
     envs: MiniWoBVector, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    observed, _ = envs.reset(seed=20)
+    observation, _ = envs.reset(seed=20)
     calls: list[int] = []
-    evaluate = envs._farm._tabs.ask
+    ask = envs._farm._tabs.ask
 
-    def counting(asked: dict[int, list[Any]], **how: Any) -> Any:
-        calls.append(len(asked))
-        return evaluate(asked, **how)
+    def counting_ask(requests: dict[int, list[Any]], **options: Any) -> Any:
+        calls.append(len(requests))
+        return ask(requests, **options)
 
-    monkeypatch.setattr(envs._farm._tabs, "ask", counting)
-    submit = [next((e["ref"] for e in page if e["tag"] == "button"), 0) for page in observed["dom_elements"]]
+    monkeypatch.setattr(envs._farm._tabs, "ask", counting_ask)
+    submit = [next((e["ref"] for e in page if e["tag"] == "button"), 0) for page in observation["dom_elements"]]
     _, _, terminated, _, _ = envs.step([{"action_type": 8, "ref": ref} for ref in submit])
     assert terminated.all()
-    observed, rewards, terminated, _, infos = envs.step([None] * PLACES)
+    observation, rewards, terminated, _, infos = envs.step([None] * NUM_ENVS)
     assert not terminated.any()
     assert not rewards.any()
-    assert calls == [PLACES]
-    assert all(len(page) > 3 for page in observed["dom_elements"])
+    assert calls == [NUM_ENVS]
+    assert all(len(page) > 3 for page in observation["dom_elements"])
     assert not set(infos["seed"]) & {20, 21}
 
 
-def test_a_killed_browser_cuts_every_place_off_and_they_restart(envs: MiniWoBVector) -> None:
+def test_a_killed_browser_truncates_every_episode_and_all_restart(envs: MiniWoBVector) -> None:
     envs.reset(seed=20)
     kill_browser(envs._farm)
-    _, rewards, terminated, truncated, infos = envs.step([None] * PLACES)
+    _, rewards, terminated, truncated, infos = envs.step([None] * NUM_ENVS)
     assert truncated.all()
     assert not terminated.any()
     assert not rewards.any()
-    assert list(infos["lost"]) == ["browser_died"] * PLACES
-    observed, _, terminated, truncated, _ = envs.step([None] * PLACES)
+    assert list(infos["lost"]) == ["browser_died"] * NUM_ENVS
+    observation, _, terminated, truncated, _ = envs.step([None] * NUM_ENVS)
     assert not (terminated | truncated).any()
-    assert all(len(page) > 3 for page in observed["dom_elements"])
+    assert all(len(page) > 3 for page in observation["dom_elements"])
 
 
-def test_what_cannot_be_stepped_is_refused_in_one_line(envs: MiniWoBVector) -> None:
+def test_wrong_numbers_of_actions_or_seeds_and_mixed_page_sizes_are_rejected(envs: MiniWoBVector) -> None:
     envs.reset(seed=20)
     with pytest.raises(ValueError, match="got 1 actions, wanted one for each of 2"):
         envs.step([None])

@@ -58,7 +58,7 @@ def test_an_expert_without_an_action_raises_no_action_and_the_expert_agent_waits
     observation = observe("click-button", 'Click on the "Ok" button.', ("button", "Cancel", "", -1))
     with pytest.raises(NoAction, match="no row with tag 'button', text 'Ok'"):
         expert("click-button")(observation)
-    (choice,) = ExpertAgent(expert).select_actions([observation], np.zeros((1, 3), dtype=np.float32))
+    (choice,) = ExpertAgent(expert).select_actions([observation], np.zeros((1, 1, 3), dtype=np.float32))
     assert choice.action == Action(verb=Verb.WAIT)
 
 

@@ -1,6 +1,6 @@
-"""Our environment beside the miniwob package's own: same seeds, same actions, every field of every observation.
+"""Compares our environment with the miniwob package's: same seeds, same actions, every field of every observation.
 
-A sample of the tasks; `python -m benchmarks.gym_equality` goes through all of them.
+Only some tasks; `python -m benchmarks.gym_equality` compares all of them.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ pytestmark = [pytest.mark.chrome, pytest.mark.slow]
 
 TASKS = [
     "click-button",
-    "click-dialog-2",  # what has the focus looks different
-    "click-pie-nodelay",  # SVG, drawn with the frames after the start
+    "click-dialog-2",  # the focused element has a style of its own
+    "click-pie-nodelay",  # SVG that is drawn in the first animation frames
     "choose-list",
-    "email-inbox-nl-turk",  # the page names the fields itself
+    "email-inbox-nl-turk",  # the page itself returns the fields
     "enter-text",
     "text-transform",  # lines of bare text
     "use-slider",
@@ -47,8 +47,8 @@ def test_the_spaces_are_those_of_the_package(reference: PackageEnv, ours: MiniWo
     for preset in ("all_supported", "shi17", "liu18", "humphreys22"):
         config = ActionSpaceConfig.get_preset(preset)
         config.screen_width, config.screen_height = 160, 210
-        ours.package = type(ours.package).of("click-test", preset)
-        assert ours.package.action_space == config.get_action_space()
+        ours.adapter = type(ours.adapter).of("click-test", preset)
+        assert ours.adapter.action_space == config.get_action_space()
     assert ours.action_space == reference.env.action_space
 
 

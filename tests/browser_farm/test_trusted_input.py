@@ -1,4 +1,4 @@
-"""The same actions through Chrome's own mouse and keyboard."""
+"""Actions as native mouse and keyboard input of Chrome."""
 
 from __future__ import annotations
 
@@ -20,15 +20,17 @@ def farm() -> Iterator[Farm]:
 
 
 @pytest.mark.chrome
-# Chrome joins the moves between two frames, and draw-line pays by how many there were.
+# Chrome merges the mouse moves between two frames, and the reward of draw-line depends on their number.
 @pytest.mark.parametrize(("task", "moves"), [case for case in SOLVED if case[0] != "draw-line"])
-def test_a_task_that_needs_more_than_clicks_is_solved_by_hand(farm: Farm, task: str, moves: tuple[Move, ...]) -> None:
+def test_a_task_that_needs_more_than_clicks_is_solved_with_trusted_input(
+    farm: Farm, task: str, moves: tuple[Move, ...]
+) -> None:
     assert play(farm, farm.open(task, 3)[0], *moves) == 1.0
     assert farm.causes == []
 
 
 @pytest.mark.chrome
-def test_a_page_takes_the_events_for_a_persons(farm: Farm) -> None:
+def test_the_events_are_trusted(farm: Farm) -> None:
     script = """for (const name of ['mousedown', 'click', 'keydown', 'input']) document.addEventListener(name,
         (event) => log.push(name + event.isTrusted), true)"""
     seen = play(farm, show(farm, "<input value='ab'>", script), on(Verb.TYPE, "input_text", literal="C"), press("End"))
@@ -38,7 +40,7 @@ def test_a_page_takes_the_events_for_a_persons(farm: Farm) -> None:
 
 
 @pytest.mark.chrome
-def test_what_no_mouse_can_reach_is_done_by_script_all_the_same(farm: Farm) -> None:
+def test_actions_that_native_input_cannot_perform_are_done_by_script(farm: Farm) -> None:
     html = "<select><option>one</option><option>two</option></select><input type='date'>"
     seen = play(
         farm, show(farm, html), on(Verb.CLICK, "option", "two"), on(Verb.TYPE, "input_date", literal="2019-02-08")
@@ -48,7 +50,7 @@ def test_what_no_mouse_can_reach_is_done_by_script_all_the_same(farm: Farm) -> N
     assert seen.page.value[row(seen, "input_date")] == "2019-02-08"
 
 
-def test_a_chord_holds_its_keys_down_around_the_last_one() -> None:
+def test_a_chord_holds_its_modifiers_down_around_its_key() -> None:
     aim = [1.0, 2.0, 3.0, 4.0]
     pressed = events(Command(verb=Verb.PRESS, text="Control+c"), aim)
     assert [(params["type"], params["key"]) for _, params in pressed] == [

@@ -25,7 +25,7 @@ SEQUENCES = 1 << 24
 ROUND_S = 0.05  # pause between two rounds through all actors
 VERSION_POLL_S = 0.05  # between two reads of the learner's version
 VERSION_FILE = "version"
-LIMITS = UplinkLimits(max_unacked=4, max_kept_bytes=256 << 10, heartbeat_s=0.2, hello_s=0.1)
+LIMITS = UplinkLimits(max_kept_bytes=256 << 10, heartbeat_s=0.2, hello_s=0.1)
 
 
 def episode_id(actor: int, incarnation: int, sequence: int) -> int:
@@ -128,7 +128,7 @@ def run_actors(
         for actor in list(running):
             try:
                 actor.uplink.poll()
-                if actor.uplink.ready and rng.random() < 0.5:
+                if actor.uplink.startable(0) and rng.random() < 0.5:
                     actor.finish_episode(template, version)
             except Refused:
                 running.remove(actor)

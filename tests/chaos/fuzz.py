@@ -29,7 +29,8 @@ from giirl_core.wire import messages as wire
 from giirl_core.wire.delivery import Grant, Notice
 from giirl_core.wire.messages import ALIGN, LENGTH, PADDING, PREFIX, WireError
 from learner.learner import Learner
-from learner.stream.admission import Admission, IngestLimits
+from learner.stream.admission import Admission
+from learner.stream.flow import IngestLimits
 from learner.stream.snapshot import OFFSETS_FILE, QUEUE_FILE, ActorOffsets, IngestSnapshot
 from tests.giirl.small import config
 from tests.giirl_core.wire_examples import STAMP, episode

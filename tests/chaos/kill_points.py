@@ -33,7 +33,7 @@ FEW = ("iterations=6", "checkpoint_every=2", "keep_checkpoints=2", "evaluate.epi
 KILL_POINTS: dict[str, tuple[Any, str]] = {
     "take": (giirl_run.Session, "take"),  # before it waits for rollouts
     "observe": (giirl_run.Session, "_observe"),  # between update and checkpoint
-    "publish": (giirl_run.Session, "_tell_targets"),  # after the processes got new weights
+    "publish": (giirl_run.Session, "_update_targets"),  # after the processes got new weights
     "write": (Path, "write_text"),  # a file of a checkpoint, or a pointer
     "sync": (os, "fsync"),
     "rename": (Path, "rename"),  # of a finished checkpoint

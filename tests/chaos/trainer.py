@@ -11,7 +11,7 @@ import numpy as np
 
 from giirl_core.wire.transport import Keys
 from learner.checkpoint import latest_checkpoint, save_checkpoint
-from learner.stream.admission import IngestLimits
+from learner.stream.flow import IngestLimits
 from learner.stream.ingest import Ingest
 from learner.stream.snapshot import IngestSnapshot
 from tests.chaos.crowd import VERSION_FILE

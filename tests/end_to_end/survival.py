@@ -32,11 +32,13 @@ from tests.end_to_end.commands import (
 )
 
 TASKS = ("click-test-2", "click-button")
+ITERATIONS = 250
 ARGUMENTS = (
     "train",
     "runtime=local",
     f"tasks={json.dumps(TASKS)}",
-    "iterations=120",
+    f"iterations={ITERATIONS}",
+    "actors.step_delay_s=0.2",  # so that the run outlasts every fault, however fast the machine
     "rollout_batch=8",
     "checkpoint_every=5",
     "demos.per_task=20",
@@ -75,7 +77,7 @@ def survive(run: Path) -> Survival:
         _kill_actor(command, survival)
         _kill_service(command, survival)
         survival.learner = try_scrape(run, "learner")
-        survival.status = command.wait(timeout_s=150)
+        survival.status = command.wait(timeout_s=240)
         survival.output = command.output
         survival.leftover = command.wait_leftover()
     survival.incarnations.append(_incarnation(run))

@@ -59,7 +59,7 @@ def test_a_stopped_job_saves_its_run(cluster: dict[str, str], folder: Path) -> N
         with Command("job", "stop", name, program=[cluster["RAY"]], env=cluster) as stop:
             assert stop.wait() == 0, stop.output
         job.wait()
-        assert f"stopped and saved; to go on: giirl train --resume {run}" in job.output
+        assert f"stopped and saved; to resume: giirl train --resume {run}" in job.output
     assert (run / "checkpoints/latest").read_text().removesuffix("-again") == f"step-{step(run):08d}"
 
 

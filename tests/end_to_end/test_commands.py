@@ -45,7 +45,7 @@ def test_without_chrome_a_run_ends_at_once_with_one_line_that_says_how_to_instal
     lines = [line for line in output.splitlines() if line.startswith("giirl:")]
     assert len(lines) == 1, output
     assert lines[0] == output.splitlines()[-1]
-    assert "GIIRL_CHROME=/nonexistent is no program" in lines[0]
+    assert "GIIRL_CHROME=/nonexistent is not a program" in lines[0]
     assert "apt-get install chromium chromium-driver" in lines[0]
     assert "Traceback" not in output
     assert leftover == []

@@ -85,7 +85,7 @@ def test_ctrl_c_saves_the_run_and_prints_how_to_resume_it(stops: Stops) -> None:
     stop = stops.interrupted
     assert stop.status == 130, stop.err
     assert stop.saved.removesuffix("-again") == f"step-{stop.last_step:08d}"
-    assert stop.err.splitlines()[-1] == f"stopped and saved; to go on: giirl train --resume {stops.run}"
+    assert stop.err.splitlines()[-1] == f"stopped and saved; to resume: giirl train --resume {stops.run}"
     assert "Traceback" not in stop.err
 
 

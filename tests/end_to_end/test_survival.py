@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from tests.end_to_end.commands import curve, read_json, run_giirl, step, total
-from tests.end_to_end.survival import TASKS, Survival
+from tests.end_to_end.survival import ITERATIONS, TASKS, Survival
 
-pytestmark = [pytest.mark.chrome, pytest.mark.ray, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.chrome, pytest.mark.ray, pytest.mark.timeout(600)]
 
 METRICS = {
     "actor-0": {
@@ -41,7 +41,7 @@ METRICS = {
 
 def test_a_run_that_lost_browser_actor_and_reward_service_completes(survival: Survival) -> None:
     assert survival.status == 0, survival.output
-    assert step(survival.run) == 120
+    assert step(survival.run) == ITERATIONS
     assert survival.leftover == []
 
 
@@ -76,7 +76,7 @@ def test_metrics_have_the_documented_labels(survival: Survival) -> None:
         assert total(survival.healthy["actor-0"], "giirl_episodes_total", task=task) > 0
     for network in ("policy", "reward"):
         assert total(learner, "giirl_gradient_updates_total", network=network) > 0, network
-    accuracy = {dict(labels)["source"]: v for (name, labels), v in learner.items() if name.endswith("_accuracy")}
+    accuracy = {dict(labels)["source"]: v for (name, labels), v in learner.items() if name.endswith("_accuracy_ratio")}
     assert {"expert", "rollouts"} <= set(accuracy)
     assert all(0 <= value <= 1 for value in accuracy.values())
     assert total(learner, "giirl_waiting_seconds_total", reason="rollouts") > 0

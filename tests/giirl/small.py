@@ -1,4 +1,4 @@
-"""Runs small enough for a test: the fake browser, tiny nets, a few iterations, one thread."""
+"""Runs that are small enough for a test: the fake browser, tiny nets, a few iterations, one thread."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ SETTINGS = (
 
 
 def config(path: Path, *changes: str) -> Config:
-    """The small settings, changed."""
+    """The small settings with changes."""
     return load_config(None, [*SETTINGS, *changes, f"run={path}"])
 
 
 def run(path: Path, *changes: str, resume: Path | None = None) -> dict[str, Any]:
-    """Train in this process and return the result; with `resume`, go on from that checkpoint of an earlier run."""
+    """Train in this process and return the result; with `resume`, from that checkpoint of an earlier run."""
     settings = config(path, *changes)
     folder = RunFolder(path) if resume else RunFolder.create(settings, "test")
     return train(settings, folder, resume, Display())

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from giirl import RunFolder, evaluate, load_policy, load_reward, read_episodes, train
-from giirl.run.api import result_table
+from giirl.run.worlds import WORLDS
 from tests.giirl.small import config
 
 
@@ -25,7 +25,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 def test_training_writes_the_result_that_it_returns(folder: RunFolder) -> None:
     result = json.loads(folder.result.read_text())
     assert result["training_episodes"] == 4 * 8
-    assert result_table(result).row_count == len(result["tasks"]) == 4
+    assert WORLDS["miniwob"].table(result).row_count == len(result["tasks"]) == 4
 
 
 def test_evaluating_a_run_again_gives_the_same_result_and_takes_other_settings(folder: RunFolder) -> None:
@@ -59,7 +59,7 @@ def test_a_grid_run_trains_and_evaluates_by_the_same_calls_and_has_no_reward_on_
     folder = RunFolder.create(settings, "test")
     result = train(settings, folder)
     assert evaluate(folder.path)["parameters_sha256"] == result["parameters_sha256"]
-    assert result_table(result).row_count == 1
+    assert WORLDS["gridcraft"].table(result).row_count == 1
     for load in (load_reward, load_policy):
         with pytest.raises(ValueError, match="wanted one with world = 'miniwob'"):
             load(folder.path)

@@ -1,4 +1,4 @@
-"""The command in this process: what works writes its files, what cannot is one line and leaves nothing behind."""
+"""The command, called in this process: success writes the result files, an error is one line and leaves no file."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from tests.giirl.small import SETTINGS, run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Answer:
-    """How the command ended and what it said."""
+class Completed:
+    """Exit status and output of a command."""
 
     status: int
     out: str
     err: str
 
     @property
-    def complaint(self) -> str:
-        """The one line that says what is wrong."""
+    def error(self) -> str:
+        """The error message, which must be the only one and the last line."""
         lines = [line for line in self.err.splitlines() if line.startswith("giirl: ")]
         assert self.status not in (0, None)
         assert len(lines) == 1, self.err
@@ -38,7 +38,7 @@ class Answer:
         return lines[0]
 
 
-Command = Callable[..., Answer]
+Command = Callable[..., Completed]
 
 
 @pytest.fixture
@@ -47,13 +47,13 @@ def giirl(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tm
     handler = signal.getsignal(signal.SIGTERM)
     monkeypatch.chdir(tmp_path)
 
-    def command(*words: str | Path) -> Answer:
+    def command(*words: str | Path) -> Completed:
         monkeypatch.setattr(sys, "argv", ["giirl", *map(str, words)])
         with pytest.raises(SystemExit) as ended:
             main()
-        said = capfd.readouterr()
+        output = capfd.readouterr()
         assert isinstance(ended.value.code, int)
-        return Answer(status=ended.value.code, out=said.out, err=said.err)
+        return Completed(status=ended.value.code, out=output.out, err=output.err)
 
     yield command
     signal.signal(signal.SIGTERM, handler)
@@ -61,17 +61,17 @@ def giirl(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tm
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """A run that came to its end."""
+    """A finished run."""
     path = tmp_path_factory.mktemp("finished") / "run"
     return path, run(path)
 
 
-def copied(finished: tuple[Path, dict[str, Any]], path: Path) -> Path:
+def copy_of(finished: tuple[Path, dict[str, Any]], path: Path) -> Path:
     shutil.copytree(finished[0], path)
     return path
 
 
-def test_train_writes_its_result_where_it_says(giirl: Command, tmp_path: Path) -> None:
+def test_train_writes_its_result_to_the_run_folder_and_to_json(giirl: Command, tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text("seed = 2\n")
     answer = giirl("train", "mine.toml", *SETTINGS, "run=out", "--json", "copy.json")
     assert answer.status == 0, answer.err
@@ -83,7 +83,7 @@ def test_train_writes_its_result_where_it_says(giirl: Command, tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["polcy.gamma=0.5"], "nearest is 'policy'"),
         (["policy.gamma=2"], "policy.gamma = 2"),
@@ -101,37 +101,37 @@ def test_train_writes_its_result_where_it_says(giirl: Command, tmp_path: Path) -
         (["--json", "."], "cannot write ."),
         (["run=broken.toml"], "broken.toml is not empty"),
         (["run=broken.toml/run"], "broken.toml/run"),
-        (["--resume", "out"], "out is no run"),
+        (["--resume", "out"], "out is not a run"),
     ],
 )
-def test_what_train_cannot_do_is_one_line_and_leaves_nothing(
-    words: list[str], said: str, giirl: Command, tmp_path: Path
+def test_an_error_of_train_is_one_line_and_leaves_no_file(
+    words: list[str], message: str, giirl: Command, tmp_path: Path
 ) -> None:
     (tmp_path / "broken.toml").write_text("seed = = 1")
     where = [] if any(word.startswith("run=") for word in words) else ["run=out"]
     first, rest = (words[:1], words[1:]) if words[0].endswith(".toml") else ([], words)
     answer = giirl("train", *first, *SETTINGS, *where, *rest)
-    assert said in answer.complaint
+    assert message in answer.error
     assert [path.name for path in tmp_path.iterdir()] == ["broken.toml"]
 
 
-def test_a_mended_command_works_in_the_same_folder(giirl: Command) -> None:
+def test_a_corrected_command_can_use_the_same_folder(giirl: Command) -> None:
     words = ("train", *SETTINGS, "iterations=1", "run=out")
     assert giirl(*words, "step_limit=1").status == 1
     assert giirl(*words).status == 0
 
 
-def test_a_run_that_another_process_works_on_is_not_gone_on_with(giirl: Command, tmp_path: Path) -> None:
+def test_a_run_that_another_process_uses_cannot_be_resumed(giirl: Command, tmp_path: Path) -> None:
     assert giirl("train", *SETTINGS, "iterations=1", "run=out").status == 0
     with folder_lock(tmp_path / "out"):
-        assert "another process uses out" in giirl("train", "--resume", "out", "iterations=2").complaint
+        assert "another process uses out" in giirl("train", "--resume", "out", "iterations=2").error
     assert giirl("train", "--resume", "out", "iterations=2").status == 0
 
 
-def test_a_run_folder_in_use_is_left_alone(giirl: Command, tmp_path: Path) -> None:
+def test_a_run_folder_with_files_in_it_is_refused_and_not_changed(giirl: Command, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
-    (tmp_path / "out/thesis.txt").write_text("dear")
-    assert "out is not empty: choose another run=FOLDER" in giirl("train", *SETTINGS, "run=out").complaint
+    (tmp_path / "out/thesis.txt").write_text("keep")
+    assert "out is not empty: choose another run=FOLDER" in giirl("train", *SETTINGS, "run=out").error
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["thesis.txt"]
 
 
@@ -144,21 +144,21 @@ def test_an_unknown_option_or_command_ends_with_an_error_and_no_traceback(giirl:
 
 
 @pytest.mark.parametrize("words", [["train", "--resume"], ["evaluate"], ["reward", "goal-swap"]])
-def test_a_folder_that_is_no_run_is_named(words: list[str], giirl: Command, tmp_path: Path) -> None:
-    assert "nowhere is no run: there is no config.json in it" in giirl(*words, "nowhere").complaint
+def test_a_folder_that_is_no_run_is_an_error_with_its_name(words: list[str], giirl: Command, tmp_path: Path) -> None:
+    assert "nowhere is not a run: it has no config.json" in giirl(*words, "nowhere").error
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("words", [["train", "--resume"], ["evaluate"], ["reward", "goal-swap"]])
-def test_a_truncated_checkpoint_is_named_with_the_one_to_use_instead(
+def test_a_truncated_checkpoint_is_an_error_that_names_an_older_one(
     words: list[str], giirl: Command, finished: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
-    path = copied(finished, tmp_path / "run")
+    path = copy_of(finished, tmp_path / "run")
     net = path / "checkpoints/step-00000004/policy.safetensors"
     net.write_bytes(net.read_bytes()[:1000])
     answer = giirl(*words, path, "--json", "a.json")
-    assert "the SHA-256 of policy.safetensors (1000 bytes) is not the" in answer.complaint
-    assert "write step-00000002 into" in answer.complaint
+    assert "the SHA-256 of policy.safetensors (1000 bytes) is not the" in answer.error
+    assert "write step-00000002 into" in answer.error
     assert not (tmp_path / "a.json").exists()
     assert json.loads((path / "config.json").read_text())
 
@@ -166,13 +166,13 @@ def test_a_truncated_checkpoint_is_named_with_the_one_to_use_instead(
 def test_resuming_without_its_demonstrations_fails_and_deletes_nothing(
     giirl: Command, finished: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
-    path = copied(finished, tmp_path / "run")
+    path = copy_of(finished, tmp_path / "run")
     (path / "demonstrations.giirl").unlink()
-    assert "demonstrations.giirl" in giirl("train", "--resume", path).complaint
+    assert "demonstrations.giirl" in giirl("train", "--resume", path).error
     assert (path / "config.json").exists()
 
 
-def test_ctrl_c_saves_and_says_how_to_go_on(
+def test_ctrl_c_saves_a_checkpoint_and_prints_how_to_resume(
     giirl: Command, finished: tuple[Path, dict[str, Any]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     from giirl.run.serial import SerialRuntime
@@ -192,12 +192,12 @@ def test_ctrl_c_saves_and_says_how_to_go_on(
     assert giirl("train", "--resume", "out").status == 0
     result = json.loads((tmp_path / "out/result.json").read_text())
     assert result["parameters_sha256"] == finished[1]["parameters_sha256"]
-    assert "seed is fixed" in giirl("train", "--resume", "out", "seed=3").complaint
+    assert "seed is fixed" in giirl("train", "--resume", "out", "seed=3").error
     assert giirl("train", "--resume", "out", "iterations=9", "evaluate.episodes=2").status == 0
     assert json.loads((tmp_path / "out/curve.jsonl").read_text().splitlines()[-1])["step"] == 9
 
 
-def test_evaluate_measures_the_last_checkpoint_again(
+def test_evaluate_repeats_the_evaluation_of_the_last_checkpoint(
     giirl: Command, finished: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     answer = giirl("evaluate", finished[0], "--json", "a.json")
@@ -209,7 +209,7 @@ def test_evaluate_measures_the_last_checkpoint_again(
     assert json.loads((tmp_path / "b.json").read_text())["tasks"]["click-test"]["episodes"] == 7
 
 
-def test_toggle_reports_shares_of_the_pages_it_was_asked_for(
+def test_goal_swap_reports_fractions_of_the_requested_number_of_pages(
     giirl: Command, finished: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     assert giirl("reward", "goal-swap", finished[0], "--pages", "9", "--json", "t.json").status == 0
@@ -217,26 +217,26 @@ def test_toggle_reports_shares_of_the_pages_it_was_asked_for(
     assert result["pages"] == 9
     assert 0 <= result["own_goal_top1"] <= 1
     assert 0 <= result["swapped_goal_top1"] <= 1
-    said = giirl("reward", "goal-swap", finished[0], "--pages", "2", "--task", "click-test").complaint
-    assert "click-test has no page of" in said
+    answer = giirl("reward", "goal-swap", finished[0], "--pages", "2", "--task", "click-test")
+    assert "click-test has no page of" in answer.error
 
 
-def test_demonstrations_made_by_the_command_can_be_counted_and_learned_from(giirl: Command, tmp_path: Path) -> None:
+def test_demonstrations_made_by_the_command_can_be_counted_and_trained_on(giirl: Command, tmp_path: Path) -> None:
     made = giirl("demos", "make", "--out", "d.giirl", "--per-task", "3", "--browser", "fake")
     assert made.status == 0, made.err
     episodes = read_episodes(tmp_path / "d.giirl")
     assert len(episodes) == 12
     assert all(episode.outcome.success for episode in episodes)
-    said = giirl("demos", "stats", "d.giirl").out
-    assert "enter-text" in said
-    assert "type 3" in " ".join(said.split())
+    table = giirl("demos", "stats", "d.giirl").out
+    assert "enter-text" in table
+    assert "type 3" in " ".join(table.split())
     words = ("demos.source=file", "demos.path=d.giirl", "demos.per_task=2", "iterations=1", "run=out", "--json", "r")
     assert giirl("train", *SETTINGS, *words).status == 0
     assert set(json.loads((tmp_path / "r").read_text())["demonstrations"].values()) == {2}
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["stats", "notes.txt"], "notes.txt is not an episode file"),
         (["stats", "missing"], "missing"),
@@ -245,21 +245,21 @@ def test_demonstrations_made_by_the_command_can_be_counted_and_learned_from(giir
         (["make", "--browser", "fake", "--out", "a", "--seed", "70000"], "seed = 70000"),
         (["import", "missing", "--out", "a"], "missing"),
         (["experts", "--task", "click-buton"], "did you mean 'click-button'"),
-        (["experts", "--json", "notes.txt", "--resume"], "notes.txt is no result of giirl demos experts"),
+        (["experts", "--json", "notes.txt", "--resume"], "notes.txt is not a result of giirl demos experts"),
         (["record", "--out", "a"], "there is no screen"),
         (["record", "--out", "a", "--task", "flight.AA"], "flight.AA cannot be recorded"),
     ],
 )
-def test_demonstrations_that_cannot_be_had_are_one_line_and_no_file(
-    words: list[str], said: str, giirl: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_an_error_of_demos_is_one_line_and_leaves_no_file(
+    words: list[str], message: str, giirl: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for screen in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(screen, raising=False)
-    (tmp_path / "notes.txt").write_text("dear")
-    assert said in giirl("demos", *words).complaint
+    (tmp_path / "notes.txt").write_text("keep")
+    assert message in giirl("demos", *words).error
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
-def test_the_version_and_the_help_are_no_errors(giirl: Command) -> None:
+def test_version_and_help_succeed(giirl: Command) -> None:
     assert "giirl" in giirl("--version").out
     assert "train" in giirl("--help").out

@@ -1,4 +1,4 @@
-"""Whole runs and studies in LanguageGridCraft, made small: what they write, and what they refuse."""
+"""Small runs and studies in LanguageGridCraft: the files that they write, and their errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 
 from giirl.cli.main import giirl
 from giirl.figures import Panel, draw_maps, draw_returns
-from giirl.run.grid import go_on, layouts_of, open_run, pairs_of
+from giirl.run.grid import continue_run, layouts_of, open_run, pairs_of
 from giirl.run.grid_metrics import Measures, means
 from giirl.signals import Stopped
 from giirl.studies import grid_ablations as run_ablations
@@ -37,7 +37,7 @@ def invoke(*words: str) -> Result:
     return CliRunner().invoke(giirl, list(words), catch_exceptions=False)
 
 
-def test_the_experiment_trains_without_a_browser_and_leaves_numbers_and_a_figure(tmp_path: Path) -> None:
+def test_the_experiment_trains_without_a_browser_and_writes_a_result_and_a_figure(tmp_path: Path) -> None:
     run = tmp_path / "run"
     done = CliRunner().invoke(giirl, ["train", str(EXPERIMENT), f"run={run}", *QUICK], catch_exceptions=False)
     assert done.exit_code == 0
@@ -57,7 +57,7 @@ def small(seed: int = 0) -> Config:
 
 
 @pytest.mark.parametrize("study", ["figure-4.3", "figure-4.4"])
-def test_a_study_writes_its_numbers_and_its_figure(study: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_study_writes_its_result_and_its_figure(study: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_reproduce, "thesis", small)
     numbers = tmp_path / "numbers.json"
     command = ["reproduce", study, "--json", str(numbers), "--out", str(tmp_path), "--seeds", "2"]
@@ -69,9 +69,7 @@ def test_a_study_writes_its_numbers_and_its_figure(study: str, tmp_path: Path, m
     assert (tmp_path / f"{study}.png").read_bytes().startswith(PNG)
 
 
-def test_the_joint_study_writes_what_carries_over_and_what_does_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_joint_study_writes_its_transfer_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def tiny(seed: int = 0, held_out: str = "[]", colours: str = '["red", "green", "blue"]') -> Config:
         grid = ["grid.random_layouts=1", "grid.layouts=[]", "grid.demonstrations=2", f"grid.held_out={held_out}"]
         return load_config(EXPERIMENT, [f"seed={seed}", *QUICK, *grid, f"grid.colours={colours}"])
@@ -98,7 +96,7 @@ def test_the_joint_study_writes_what_carries_over_and_what_does_not(
     assert (tmp_path / "gridcraft-joint.png").read_bytes().startswith(PNG)
 
 
-def test_the_ablations_are_a_row_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_ablation_has_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_ablations, "thesis", small)
     monkeypatch.setattr(grid_settings, "thesis", small)
     monkeypatch.setattr(run_ablations, "FRESH_ITERATIONS", 1)
@@ -114,11 +112,11 @@ def test_the_ablations_are_a_row_each(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("name", grid_settings.ABLATIONS)
-def test_every_ablation_changes_the_settings_but_the_first(name: str) -> None:
+def test_every_ablation_but_the_first_changes_a_setting(name: str) -> None:
     assert (grid_settings.ablated(3, name) == grid_settings.thesis(3)) == (name == "as reported")
 
 
-def test_held_out_pairs_are_left_to_the_end_and_named_layouts_come_first() -> None:
+def test_held_out_pairs_are_not_trained_on_and_named_layouts_come_first() -> None:
     grid = GridConfig(held_out=("red-blue",), random_layouts=2)
     assert Pair("red", "blue") not in pairs_of(grid)
     assert len(pairs_of(grid)) == 5
@@ -126,9 +124,9 @@ def test_held_out_pairs_are_left_to_the_end_and_named_layouts_come_first() -> No
 
 
 @pytest.mark.parametrize(
-    ("grid", "said"),
+    ("grid", "message"),
     [
-        (GridConfig(goals=("red",)), "'red' is no pair of colours"),
+        (GridConfig(goals=("red",)), "'red' is not a pair of colours"),
         (GridConfig(goals=("red-pink",)), "there is no colour 'pink'"),
         (GridConfig(goals=("red-blue",), held_out=("red-blue",)), "holds every goal out"),
         (GridConfig(held_out=("red-yellow",)), "which is none of the 6 goals"),
@@ -136,15 +134,15 @@ def test_held_out_pairs_are_left_to_the_end_and_named_layouts_come_first() -> No
         (GridConfig(layouts=()), "got none"),
     ],
 )
-def test_a_grid_that_cannot_be_is_one_line(grid: GridConfig, said: str, tmp_path: Path) -> None:
+def test_an_illegal_grid_is_an_error_of_one_line(grid: GridConfig, message: str, tmp_path: Path) -> None:
     from giirl.run.grid import learn
 
-    with pytest.raises(ValueError, match=said) as caught:
+    with pytest.raises(ValueError, match=message) as caught:
         learn(Config(world="gridcraft", iterations=1, grid=grid))
     assert "\n" not in str(caught.value)
 
 
-def test_a_mean_leaves_out_what_is_not_a_number() -> None:
+def test_a_mean_leaves_out_nan() -> None:
     def one(value: float) -> Measures:
         names = [name for name in Measures.__slots__ if name != "pair"]
         return Measures(pair=Pair("red", "blue"), **dict.fromkeys(names, 1.0) | {"matched_avoid_rank": value})
@@ -153,7 +151,7 @@ def test_a_mean_leaves_out_what_is_not_a_number() -> None:
     assert np.isnan(means([one(float("nan"))])["matched_avoid_rank"])
 
 
-def test_the_figures_are_drawn_into_folders_that_are_not_there_yet(tmp_path: Path) -> None:
+def test_figures_create_their_folders(tmp_path: Path) -> None:
     layout = named_layout("rooms")
     values = np.where(layout.cells < 0, np.nan, 0.5)
     draw_maps(tmp_path / "a" / "maps.png", layout, [Panel(title="Go to Red.", values=values)])
@@ -163,7 +161,7 @@ def test_the_figures_are_drawn_into_folders_that_are_not_there_yet(tmp_path: Pat
     assert (tmp_path / "b" / "returns.png").read_bytes().startswith(PNG)
 
 
-def test_a_run_that_goes_on_from_a_checkpoint_ends_as_if_it_had_never_stopped(tmp_path: Path) -> None:
+def test_a_run_resumed_from_a_checkpoint_ends_like_an_uninterrupted_one(tmp_path: Path) -> None:
     whole, parted = tmp_path / "whole", tmp_path / "parted"
     settings = [str(EXPERIMENT), *QUICK, "iterations=4", "checkpoint_every=2", "grid.measure_every=1"]
     for run in (whole, parted):
@@ -178,43 +176,43 @@ def test_a_run_that_goes_on_from_a_checkpoint_ends_as_if_it_had_never_stopped(tm
     assert (whole / "curve.jsonl").read_text() == (parted / "curve.jsonl").read_text()
 
 
-def end_of(checkpoint: Path) -> str:
-    """The hash of what is learned after going on from there for two more iterations."""
+def hash_after_resuming(checkpoint: Path) -> str:
+    """The hash of the nets after two more iterations from a checkpoint."""
     longer = dataclasses.replace(small(), iterations=4)
     again = open_run(longer, checkpoint)
-    go_on(longer, again, lambda: None)
+    continue_run(longer, again, lambda: None)
     return hash_nets(*again.learner.nets().values())
 
 
 @pytest.fixture(scope="module")
 def checkpoints(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, str]:
-    """A checkpoint before anything was learned, one after two iterations, and how the second goes on."""
+    """A checkpoint before training, one after two iterations, and the hash after resuming from the second."""
     folder = tmp_path_factory.mktemp("checkpoints")
     before, after = folder / "before", folder / "after"
     run = open_run(small())
     for path in (before, after):
         path.mkdir()
         run.save(path)
-        go_on(small(), run, lambda: None)
-    return before, after, end_of(after)
+        continue_run(small(), run, lambda: None)
+    return before, after, hash_after_resuming(after)
 
 
 @pytest.mark.parametrize("lost", ["reward_replay", "policy_replay", "q", "policy_optimiser", "reward_optimiser"])
-def test_nothing_in_a_grid_checkpoint_could_be_left_out(
+def test_every_file_of_a_grid_checkpoint_is_needed_to_resume(
     lost: str, checkpoints: tuple[Path, Path, str], tmp_path: Path
 ) -> None:
     before, after, end = checkpoints
     mixed = tmp_path / "mixed"
     shutil.copytree(after, mixed)
     shutil.copy(before / f"{lost}.safetensors", mixed)
-    assert end_of(mixed) != end
+    assert hash_after_resuming(mixed) != end
 
 
-def test_a_run_that_is_stopped_saves_and_a_finished_one_can_be_evaluated_again(tmp_path: Path) -> None:
+def test_a_stopped_run_ends_after_its_step_and_a_finished_one_can_be_evaluated_again(tmp_path: Path) -> None:
     config, stop = small(), Event()
     run = open_run(config)
     with pytest.raises(Stopped):
-        go_on(config, run, stop.set, stop)
+        continue_run(config, run, stop.set, stop)
     assert run.learner.version == 1
     path = tmp_path / "run"
     assert invoke("train", str(EXPERIMENT), f"run={path}", *QUICK).exit_code == 0

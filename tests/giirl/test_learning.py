@@ -1,4 +1,4 @@
-"""It does learn: from nothing to nearly all four tasks, with the settings that a user gets."""
+"""Training from scratch in the fake browser, with the default settings, solves the tasks."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ def learn(path: Path, *changes: str) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_giirl_learns_the_four_fake_tasks_from_scratch_and_a_reward_that_follows_the_goal(tmp_path: Path) -> None:
-    tasks = learn(tmp_path / "run", "iterations=70")["tasks"]
+def test_giirl_solves_the_four_fake_tasks_and_learns_a_reward_that_depends_on_the_goal(tmp_path: Path) -> None:
+    tasks = learn(tmp_path / "run", "iterations=150")["tasks"]
     assert {task: row["success"] for task, row in tasks.items() if row["success"] < 0.95} == {}
-    assert tasks["enter-text"]["random"] < 0.2  # not by chance
+    assert tasks["enter-text"]["random"] < 0.2  # random actions do not solve it
     folder, config = RunFolder.open(tmp_path / "run")
     reward = folder.weights(latest_checkpoint(folder.checkpoints), "reward")
     shares = goal_swap(config, reward, "click-button", 100, Metrics(), Display())
@@ -41,9 +41,9 @@ def test_giirl_learns_the_four_fake_tasks_from_scratch_and_a_reward_that_follows
     assert shares["swapped_goal_top1"] > 0.9
 
 
-def test_cloning_learns_what_it_is_shown_on_a_page_it_never_saw(tmp_path: Path) -> None:
-    words = ("algorithm=cloning", "rollout_batch=2", 'tasks=["click-test-2", "click-button"]', "net.width=16")
+def test_cloning_generalises_from_demonstrations_to_unseen_pages(tmp_path: Path) -> None:
+    setting = ("algorithm=cloning", "rollout_batch=2", 'tasks=["click-test-2", "click-button"]', "net.width=16")
     quick = ("cloning.learning_rate=0.01", "iterations=25", "evaluate.episodes=40", "evaluate.random_episodes=4")
-    result = learn(tmp_path / "run", *words, *quick)
+    result = learn(tmp_path / "run", *setting, *quick)
     assert result["algorithm"] == "cloning"
     assert {task: row["success"] for task, row in result["tasks"].items() if row["success"] < 0.9} == {}

@@ -1,4 +1,4 @@
-"""Counts and their uncertainty against values that others have published or that enumeration gives."""
+"""Wilson intervals and windows, compared with published values and with enumeration."""
 
 from __future__ import annotations
 
@@ -20,14 +20,12 @@ from giirl.statistics import Z_95, Score, lowest_window
         (1, 29, 0.0061, 0.1718),
     ],
 )
-def test_wilson_intervals_are_those_that_newcombe_printed(
-    successes: int, episodes: int, low: float, high: float
-) -> None:
+def test_wilson_intervals_match_the_table_of_newcombe(successes: int, episodes: int, low: float, high: float) -> None:
     assert Score(episodes=episodes, successes=successes).interval() == pytest.approx((low, high), abs=5e-5)
 
 
 @given(st.integers(1, 3000).flatmap(lambda n: st.tuples(st.just(n), st.integers(0, n))))
-def test_the_ends_of_the_interval_are_where_the_score_test_just_rejects(counts: tuple[int, int]) -> None:
+def test_the_score_test_just_rejects_at_the_ends_of_the_interval(counts: tuple[int, int]) -> None:
     n, k = counts
     low, high = Score(episodes=n, successes=k).interval()
     assert 0 <= low <= k / n + 1e-12
@@ -38,11 +36,11 @@ def test_the_ends_of_the_interval_are_where_the_score_test_just_rejects(counts: 
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=30), st.integers(1, 12))
-def test_the_lowest_window_is_the_lowest_of_all_windows(successes: list[bool], window: int) -> None:
+def test_the_lowest_window_matches_enumeration(successes: list[bool], window: int) -> None:
     width = min(window, len(successes))
     means = [sum(successes[i : i + width]) / width for i in range(len(successes) - width + 1)]
     assert lowest_window(successes, window) == pytest.approx(min(means))
 
 
-def test_no_outcomes_have_no_lowest_window() -> None:
+def test_the_lowest_window_of_no_outcomes_is_none() -> None:
     assert lowest_window([], 10) is None

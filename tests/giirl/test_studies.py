@@ -1,4 +1,4 @@
-"""What studies vary: goals held out, demonstrations spoiled, a reward of another run, the page's own reward."""
+"""What studies vary: held-out goals, noisy demonstrations, a frozen reward, the environment's reward."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ PARAMETERS = "parameters_sha256"
 SHARE = 0.4
 
 
-def studied(monkeypatch: pytest.MonkeyPatch) -> list[Trajectory]:
-    """Every rollout that the learner is going to see."""
+def watch_rollouts(monkeypatch: pytest.MonkeyPatch) -> list[Trajectory]:
+    """A list that collects every rollout that the learner gets."""
     seen: list[Trajectory] = []
-    study = Learner.featurise
+    featurise = Learner.featurise
 
     def watch(self: Learner, trajectories: Any) -> Any:
         seen.extend(trajectories)
-        return study(self, trajectories)
+        return featurise(self, trajectories)
 
     monkeypatch.setattr(Learner, "featurise", watch)
     return seen
 
 
-def test_goals_that_are_held_out_are_neither_demonstrated_nor_trained_on_but_measured_apart(
+def test_held_out_goals_are_neither_demonstrated_nor_trained_on_but_evaluated_separately(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seen = studied(monkeypatch)
+    seen = watch_rollouts(monkeypatch)
     result = run(
         tmp_path / "run",
         'tasks=["click-button", "enter-text"]',
@@ -60,19 +60,19 @@ def test_goals_that_are_held_out_are_neither_demonstrated_nor_trained_on_but_mea
         assert sum(part["episodes"] * part["success"] for part in parts) == pytest.approx(20 * row["success"])
 
 
-def test_spoiled_demonstrations_take_the_place_of_so_many_good_ones(tmp_path: Path) -> None:
+def test_noisy_demonstrations_replace_that_fraction_of_the_good_ones(tmp_path: Path) -> None:
     run(tmp_path / "good", "demos.per_task=10")
-    run(tmp_path / "spoiled", "demos.per_task=10", "demos.noise_fraction=0.3")
-    good, spoiled = (RunFolder(tmp_path / name).load_demonstrations() for name in ("good", "spoiled"))
+    run(tmp_path / "noisy", "demos.per_task=10", "demos.noise_fraction=0.3")
+    good, noisy = (RunFolder(tmp_path / name).load_demonstrations() for name in ("good", "noisy"))
     assert all(episode.outcome.success for episode in good)
-    assert len(spoiled) == len(good) == 40
+    assert len(noisy) == len(good) == 40
     kept = {(e.trajectory.task, e.trajectory.seed) for e in good}
-    strange = [e for e in spoiled if (e.trajectory.task, e.trajectory.seed) not in kept]
-    assert len(strange) == 4 * 3
-    assert not all(episode.outcome.success for episode in strange)
+    random = [e for e in noisy if (e.trajectory.task, e.trajectory.seed) not in kept]
+    assert len(random) == 4 * 3
+    assert not all(episode.outcome.success for episode in random)
 
 
-def test_a_policy_follows_the_reward_of_another_run_and_leaves_it_as_it_was(tmp_path: Path) -> None:
+def test_training_on_a_frozen_reward_changes_the_policy_and_not_the_reward(tmp_path: Path) -> None:
     first = run(tmp_path / "first")
     again = run(tmp_path / "second", "algorithm=frozen", f"reward_from={tmp_path / 'first'}", "seed=7")
     learned, followed = (
@@ -83,22 +83,22 @@ def test_a_policy_follows_the_reward_of_another_run_and_leaves_it_as_it_was(tmp_
     assert again[PARAMETERS] != first[PARAMETERS]
 
 
-def test_a_run_that_learned_no_reward_has_none_to_follow(tmp_path: Path) -> None:
+def test_a_run_without_a_learned_reward_cannot_be_a_frozen_reward(tmp_path: Path) -> None:
     run(tmp_path / "cloned", "algorithm=cloning")
     with pytest.raises(ValueError, match=r"cloned learned no reward: its algorithm is 'cloning', wanted 'giirl'"):
         run(tmp_path / "second", "algorithm=frozen", f"reward_from={tmp_path / 'cloned'}")
 
 
 @pytest.mark.parametrize("changes", [["algorithm=frozen"], ["reward_from=runs/x"]])
-def test_a_frozen_reward_and_where_it_is_from_go_together(changes: list[str]) -> None:
+def test_reward_from_is_needed_with_frozen_and_only_then(changes: list[str]) -> None:
     with pytest.raises(ValueError, match="wanted reward_from=RUN with algorithm=frozen"):
         load_config(None, changes)
 
 
-def test_the_page_s_own_reward_is_told_where_that_is_the_algorithm_and_nowhere_else(
+def test_rollouts_carry_the_page_reward_only_if_the_algorithm_trains_on_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seen, played = studied(monkeypatch), list[Episode]()
+    seen, played = watch_rollouts(monkeypatch), list[Episode]()
     take = SerialRuntime.take
 
     def watch(self: SerialRuntime, episodes: int) -> list[Episode]:
@@ -106,7 +106,9 @@ def test_the_page_s_own_reward_is_told_where_that_is_the_algorithm_and_nowhere_e
         return taken
 
     monkeypatch.setattr(SerialRuntime, "take", watch)
-    result = run(tmp_path / "told", "algorithm=true_reward", "demos.source=file", "demos.path=none")  # nor asked for
+    result = run(
+        tmp_path / "true", "algorithm=true_reward", "demos.source=file", "demos.path=none"
+    )  # demonstrations are not read
     assert not any(result["demonstrations"].values())
     for episode, trajectory in zip(played, seen, strict=True):
         assert trajectory.rewards[-1] == np.float32(episode.outcome.raw_reward)
@@ -118,13 +120,13 @@ def test_the_page_s_own_reward_is_told_where_that_is_the_algorithm_and_nowhere_e
 
 
 @pytest.mark.parametrize("algorithm", ["sqil", "iq_learn"])
-def test_imitation_without_a_reward_ends_in_the_same_bits_each_time(algorithm: str, tmp_path: Path) -> None:
+def test_imitation_without_a_reward_gives_the_same_bits_each_time(algorithm: str, tmp_path: Path) -> None:
     first, second = (run(tmp_path / name, f"algorithm={algorithm}") for name in ("one", "two"))
     assert first[PARAMETERS] == second[PARAMETERS]
     assert first["algorithm"] == algorithm
 
 
-def test_sensitivity_is_measured_for_tasks_with_more_than_one_goal_and_chance_is_a_half(tmp_path: Path) -> None:
+def test_sensitivity_is_measured_for_tasks_with_several_goals_and_its_control_is_a_half(tmp_path: Path) -> None:
     run(tmp_path / "run", "iterations=1")
     config = load_config(tmp_path / "run/config.json")
     found = sensitivity(config, reward_of_run(tmp_path / "run"), 30, Metrics(), Display())

@@ -1,4 +1,4 @@
-"""Studies: planned from settings, run once, resumed where they broke off, and added up."""
+"""Studies: planned from settings, run once, resumed, and summarised."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from giirl.cli.reproduce_web import commands, study_table, summary
+from giirl.cli.reproduce_web import commands
 from giirl.figures import _success_at, draw_successes
 from giirl.run.folder import RunFolder
-from giirl.studies.runner import Variant, evaluate_rewards, measure_transfer, plan, pooled, record, run_all
+from giirl.studies.runner import Variant, evaluate_rewards, measure_transfer, plan, run_all
+from giirl.studies.summary import pooled, record, summary
+from giirl.studies.table import study_table
 from giirl.studies.web import STUDIES, base_settings
+from giirl_core.files import write_json
 from giirl_core.progress import Display
 from tests.giirl.small import SETTINGS
 
@@ -26,7 +29,7 @@ VARIANTS = (
 )
 
 
-def test_the_same_settings_are_the_same_run_and_a_follower_waits_for_its_own_seed_s_reward(tmp_path: Path) -> None:
+def test_equal_settings_are_the_same_run_and_a_frozen_reward_is_of_the_same_seed(tmp_path: Path) -> None:
     runs = plan(SETTINGS, VARIANTS, [0, 1], tmp_path)
     again = plan(SETTINGS, VARIANTS, [0, 1], tmp_path)
     assert [run.folder for run in runs] == [run.folder for run in again]
@@ -38,7 +41,7 @@ def test_the_same_settings_are_the_same_run_and_a_follower_waits_for_its_own_see
 
 
 @pytest.mark.slow
-def test_runs_are_done_once_and_one_that_fails_does_not_stop_the_others(
+def test_runs_are_done_once_and_a_failed_one_does_not_stop_the_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("giirl.studies.runner.GOAL_SWAP_PAGES", 20)
@@ -69,11 +72,11 @@ def test_runs_are_done_once_and_one_that_fails_does_not_stop_the_others(
     assert set(answers["sensitivity"]) == {"click-button", "enter-text"}  # where instructions differ
     assert (
         study_table("test", result).row_count == 13
-    )  # three for each, two of what the reward answered, chance and the thesis
+    )  # three for each variant, two for the reward, the random baseline, the thesis
 
 
-def made(variant: str, seed: int, successes: list[int]) -> dict[str, Any]:
-    """A record as a run of one task leaves it, but for its curve's length."""
+def record_of(variant: str, seed: int, successes: list[int]) -> dict[str, Any]:
+    """A record of a run on one task, with a short curve."""
     share = sum(successes) / len(successes)
     task = {"episodes": len(successes), "success": share, "low": 0.0, "high": 1.0, "random": 0.1, "random_episodes": 10}
     curve = [
@@ -83,8 +86,8 @@ def made(variant: str, seed: int, successes: list[int]) -> dict[str, Any]:
     return {"variant": variant, "seed": seed, "tasks": {"click-it": task}, "curve": curve}
 
 
-def test_seeds_are_added_up_with_the_interval_of_all_their_episodes() -> None:
-    found = pooled([made("a", 0, [1, 1, 1, 0]), made("a", 1, [1, 1])])["click-it"]
+def test_seeds_are_pooled_with_the_interval_of_all_their_episodes() -> None:
+    found = pooled([record_of("a", 0, [1, 1, 1, 0]), record_of("a", 1, [1, 1])])["click-it"]
     assert found["episodes"] == 6
     assert found["success"] == pytest.approx(5 / 6, abs=1e-4)
     assert found["random_episodes"] == 20
@@ -92,14 +95,14 @@ def test_seeds_are_added_up_with_the_interval_of_all_their_episodes() -> None:
     assert found["low"] < found["success"] < found["high"]
 
 
-def test_a_curve_says_when_enough_episodes_in_a_row_were_won(tmp_path: Path) -> None:
+def test_a_record_has_the_step_at_which_a_streak_of_episodes_reached_a_level(tmp_path: Path) -> None:
     (run,) = plan(SETTINGS, VARIANTS[:1], [0], tmp_path)
     folder = RunFolder(run.folder)
     run.folder.mkdir(parents=True)
     for step in range(1, 31):
         outcomes = {"click-it": [int(step > 10)] * 5, "press-it": [0] * 5}
         folder.append_curve({"step": step, "env_steps": 20 * step, "episodes": 10 * step, "outcomes": outcomes})
-    folder.write_json(folder.result, {"tasks": {}, "seed": 0})
+    write_json(folder.result, {"tasks": {}, "seed": 0})
     found = record(run)
     assert found["episodes_to"]["0.95"] == {"click-it": 200, "press-it": None}  # 48 of the last 50, at step 20
     assert found["env_steps_to"]["0.99"] == {"click-it": 400, "press-it": None}
@@ -107,7 +110,7 @@ def test_a_curve_says_when_enough_episodes_in_a_row_were_won(tmp_path: Path) -> 
     assert found["curve"][-1]["success"] == {"click-it": 1.0, "press-it": 0.0}
 
 
-def test_a_curve_begins_with_its_first_point_and_goes_on_with_its_last() -> None:
+def test_a_curve_is_nan_before_its_first_value_and_constant_after_its_last() -> None:
     curve = [{"env_steps": 100, "success": {"it": None}}, {"env_steps": 200, "success": {"it": 0.5}}]
     curve += [{"env_steps": 300, "success": {"it": 1.0}}]
     drawn = _success_at(np.array([50.0, 150.0, 200.0, 250.0, 300.0, 900.0]), curve, "it")
@@ -115,29 +118,27 @@ def test_a_curve_begins_with_its_first_point_and_goes_on_with_its_last() -> None
 
 
 def test_curves_are_drawn(tmp_path: Path) -> None:
-    draw_successes(tmp_path / "it.png", [made("a", 0, [1]), made("a", 1, [0]), made("b", 0, [1])])
+    draw_successes(tmp_path / "it.png", [record_of("a", 0, [1]), record_of("a", 1, [0]), record_of("b", 0, [1])])
     assert (tmp_path / "it.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_tuning_and_reporting_never_share_a_study() -> None:
+def test_a_study_never_mixes_seeds_for_tuning_and_for_reporting() -> None:
     (command,) = [command for command in commands() if command.name == "nets"]
-    said = CliRunner().invoke(command, ["--first-seed", "98", "--seeds", "3"])
-    assert said.exit_code == 2
-    assert "seeds 98 to 100 are for reports and for tuning: wanted all below 100, or none" in said.output
+    done = CliRunner().invoke(command, ["--first-seed", "98", "--seeds", "3"])
+    assert done.exit_code == 2
+    assert "seeds 98 to 100 are partly for reported results and partly for tuning" in done.output
 
 
 @pytest.mark.parametrize("name", [name for name, study in STUDIES.items() if study.tuning])
-def test_choices_are_made_on_tuning_seeds_alone(name: str) -> None:
+def test_a_tuning_study_uses_tuning_seeds_only(name: str) -> None:
     (command,) = [command for command in commands() if command.name == name]
     assert {p.name: p.default for p in command.params}["first_seed"] == 100
-    said = CliRunner().invoke(command, ["--first-seed", "0"])
-    assert said.exit_code == 2
-    assert f"seed 0 is for reports and {name} is for choices: wanted 100 or more" in said.output
+    done = CliRunner().invoke(command, ["--first-seed", "0"])
+    assert done.exit_code == 2
+    assert f"seed 0 is for reported results and {name} is a tuning study: wanted seeds from 100 on" in done.output
 
 
-def test_a_run_is_never_taken_for_one_of_other_settings_or_of_another_version(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_runs_of_other_settings_or_versions_have_other_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folders = [one.folder for one in plan(SETTINGS, VARIANTS[:1], [0, 1], tmp_path)]
     folders += [plan((*SETTINGS, "policy.gamma=0.8"), VARIANTS[:1], [0], tmp_path)[0].folder]
     assert plan((*SETTINGS, "policy.gamma=0.9"), VARIANTS[:1], [0], tmp_path)[0].folder == folders[0]  # the default
@@ -147,7 +148,7 @@ def test_a_run_is_never_taken_for_one_of_other_settings_or_of_another_version(
 
 
 @pytest.mark.parametrize("name", sorted(STUDIES))
-def test_every_study_is_made_of_settings_that_exist_and_has_its_command(name: str, tmp_path: Path) -> None:
+def test_every_study_has_valid_settings_and_a_command(name: str, tmp_path: Path) -> None:
     study = STUDIES[name]
     for demos in (None, tmp_path):
         runs = plan(base_settings(study, demos), study.variants, [0], tmp_path)
@@ -156,7 +157,7 @@ def test_every_study_is_made_of_settings_that_exist_and_has_its_command(name: st
     assert name in {command.name for command in commands()}
 
 
-def test_all_is_every_command_with_what_it_takes_and_none_that_is_done(tmp_path: Path) -> None:
+def test_all_calls_every_command_that_is_not_done_with_the_options_that_it_has(tmp_path: Path) -> None:
     called: list[tuple[object, ...]] = []
 
     @click.command("figure-x")

@@ -1,4 +1,4 @@
-"""A whole run over real sockets, its processes played by threads: lock-step, actors that come and go, replicas."""
+"""Runs over real sockets with threads as processes: lock-step, changing numbers of actors, several reward services."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FEW = ("iterations=3", "evaluate.episodes=1", "evaluate.random_episodes=1")
 
 @pytest.fixture
 def runtimes(monkeypatch: pytest.MonkeyPatch) -> list[WorkersRuntime]:
-    """Those that runs opened, in threads instead of processes."""
+    """The runtimes that runs open, with threads instead of processes."""
     opened: list[WorkersRuntime] = []
 
     def open_runtime(config: Any, folder: Any, metrics: Any, stop: Any, resume: Any, save: Any) -> WorkersRuntime:
@@ -40,7 +40,7 @@ def runtimes(monkeypatch: pytest.MonkeyPatch) -> list[WorkersRuntime]:
     return opened
 
 
-def test_lock_step_over_sockets_gives_the_same_bits_whoever_is_quicker(
+def test_lock_step_over_sockets_gives_the_same_bits_in_any_order_of_arrival(
     runtimes: list[WorkersRuntime], tmp_path: Path
 ) -> None:
     first = run(tmp_path / "a", *LOCK_STEP, *FEW, "actors.count=2", "scoring.replicas=2")
@@ -50,7 +50,7 @@ def test_lock_step_over_sockets_gives_the_same_bits_whoever_is_quicker(
 
 
 @pytest.mark.slow
-def test_actors_are_added_and_removed_while_a_run_goes_on(
+def test_actors_are_added_and_removed_during_a_run(
     runtimes: list[WorkersRuntime], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     take = WorkersRuntime.take
@@ -66,25 +66,27 @@ def test_actors_are_added_and_removed_while_a_run_goes_on(
         return taken
 
     monkeypatch.setattr(WorkersRuntime, "take", resizing)
-    monkeypatch.setattr("giirl.run.workers.TEND_S", 0.01)
+    monkeypatch.setattr("giirl.run.fleet.POLL_S", 0.01)
+    monkeypatch.setattr("giirl.run.workers.POLL_S", 0.01)
     run(tmp_path / "run", "runtime=local", "iterations=40", "evaluate.episodes=1", "evaluate.random_episodes=1")
     numbers = [len(names) for names in heard]
     assert (numbers[0], max(numbers)) == (1, 3)
-    assert [actor.name for actor in runtimes[0]._actors] == ["actor-0", "actor-1"]  # the third was told to leave
-    assert [actor.restarts for actor in runtimes[0]._actors] == [0, 0]  # nor was the second refused when it came back
+    actors = runtimes[0]._fleet._actors
+    assert [actor.name for actor in actors] == ["actor-0", "actor-1"]  # the third was stopped
+    assert [actor.restarts for actor in actors] == [0, 0]  # the second was not refused when it came back
     held = runtimes[0]._ingest.snapshot()
     assert {mark.actor for mark in held.offsets} == {"actor-0", "actor-1", "actor-2"}
     tallies = {mark.actor: read_counts(tmp_path / "run/actors" / f"{mark.actor}.tally")[-1] for mark in held.offsets}
     assert {
         mark.actor: (mark.incarnation, mark.low_watermark) for mark in held.offsets
-    } == tallies  # nothing is unaccounted
+    } == tallies  # every episode is accounted for
 
 
-def test_a_reward_service_that_nobody_began_is_begun_and_one_that_serves_is_joined(tmp_path: Path) -> None:
+def test_rejoin_returns_from_an_idle_reward_service_and_waits_for_a_serving_one(tmp_path: Path) -> None:
     service = RewardProcess(dump_config(config(tmp_path)), None)
     service.addresses()
     first, second = seal_net(build_reward(config(tmp_path)).net, 1), seal_net(build_reward(config(tmp_path)).net, 0)
-    service.rejoin(first)  # returns: whoever asked has to begin it
+    service.rejoin(first)  # returns at once: the caller has to call run
     threads = [Thread(target=service.run, args=(first,)), Thread(target=service.rejoin, args=(second,))]
     threads[0].start()
     while not service._serving:
@@ -98,7 +100,7 @@ def test_a_reward_service_that_nobody_began_is_begun_and_one_that_serves_is_join
         assert not thread.is_alive()
 
 
-def test_reward_service_can_be_addressed_before_torch_and_all_that_actors_need_are_imported() -> None:
+def test_the_reward_service_module_imports_neither_torch_nor_the_packages_of_actors() -> None:
     look = "import sys, reward_service.process; print(*{name.split('.')[0] for name in sys.modules})"
     loaded = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True, timeout=60).stdout
     assert not {"torch", "actors", "browser_farm", "learner"} & set(loaded.split())

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from giirl_core.config import Config
 from giirl_core.config_file import dump_config, keys, load_config
+from giirl_core.renamed_settings import RENAMED
 
 
 def test_without_file_and_overrides_all_settings_have_their_defaults() -> None:
@@ -53,13 +54,22 @@ def test_a_dumped_config_loads_as_the_same_config(
         ("tasks=[]", "tasks = "),
         ("policy=3", "policy = 3"),
         ("seed.deep=3", "seed = "),
-        ("seed", "'seed' is no override: wanted key=value"),
-        ("=1", "'=1' is no override"),
+        ("seed", "'seed' is not an override: wanted key=value"),
+        ("=1", "'=1' is not an override"),
     ],
 )
 def test_an_illegal_override_is_a_one_line_error(override: str, message: str) -> None:
     with pytest.raises(ValueError, match=message) as caught:
         load_config(None, [override])
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("old", "new"), RENAMED.items())
+def test_an_old_key_is_an_error_that_names_the_new_key(old: str, new: str) -> None:
+    assert old not in keys()
+    assert new in keys()
+    with pytest.raises(ValueError, match=f"the setting '{old}' is now '{new}'") as caught:
+        load_config(None, [f"{old}=1"])
     assert "\n" not in str(caught.value)
 
 

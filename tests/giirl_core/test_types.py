@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from giirl_core.keys import parse_chord
-from giirl_core.types import Action, Command, EpisodeSpec, Goal, Observation, Outcome, Purpose, Verb, Weights, page_seed
+from giirl_core.types import Action, Command, EpisodeSpec, Goal, Observation, Outcome, Purpose, Verb, page_seed
+from giirl_core.weights import Weights
 from tests.learner.samples import FLAT, LONG, page, trajectory
 
 CLICK = Action(verb=Verb.CLICK, element=0)

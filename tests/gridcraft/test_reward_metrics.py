@@ -14,26 +14,22 @@ from numpy.typing import NDArray
 from giirl.statistics import goal_sensitivity
 from gridcraft.instructions import Pair
 from gridcraft.layouts import LAYOUTS, Layout, random_layout
-from gridcraft.planning import expected_return, random_policy, sample_trajectories, solve
+from gridcraft.planning import normalized_return, random_policy, sample_trajectories, solve
 from gridcraft.reward_metrics import (
     auc,
     avoid_rank,
     canonical,
     epic_distance,
-    incoming_mean,
     matched_avoid_rank,
     pearson,
     ranks,
     reoptimise,
-    reoptimised_normalized_return,
-    reoptimised_return,
     spearman,
     state_mean,
     value_correlation,
     violation_rate,
-    violation_step_fraction,
 )
-from gridcraft.world import build_world, true_reward
+from gridcraft.world import World, build_world, true_reward
 
 Array = NDArray[np.float64]
 
@@ -120,15 +116,18 @@ def test_the_epic_distance_of_the_sparse_reward_is_0_to_itself_and_half_to_its_v
     assert epic_distance(VALUE, TRUE) == pytest.approx(0.51, abs=0.005)
 
 
+def reoptimised_return(world: World, learned: Array, true: Array) -> float:
+    """The normalised true return of the policy re-optimised on the learned reward."""
+    return normalized_return(world, reoptimise(world, learned), true)
+
+
 def test_reoptimising_the_true_reward_or_its_value_is_optimal() -> None:
     for reward in (TRUE, 7 * TRUE, shaped(TRUE, noise(len(REGIONS)), 0.95)):
-        assert reoptimised_normalized_return(REGIONS, reward, TRUE) == pytest.approx(1)
-    assert reoptimised_normalized_return(REGIONS, VALUE, TRUE) == pytest.approx(1)
-    assert reoptimised_normalized_return(REGIONS, np.zeros_like(TRUE), TRUE) == pytest.approx(0)
-    assert reoptimised_normalized_return(REGIONS, true_reward(REGIONS, Pair("green", "blue")), TRUE) < 0.03
-    assert reoptimised_normalized_return(REGIONS, -TRUE, TRUE) < -0.1
-    policy = reoptimise(REGIONS, TRUE)
-    assert reoptimised_return(REGIONS, TRUE, TRUE) == expected_return(REGIONS, policy, TRUE)
+        assert reoptimised_return(REGIONS, reward, TRUE) == pytest.approx(1)
+    assert reoptimised_return(REGIONS, VALUE, TRUE) == pytest.approx(1)
+    assert reoptimised_return(REGIONS, np.zeros_like(TRUE), TRUE) == pytest.approx(0)
+    assert reoptimised_return(REGIONS, true_reward(REGIONS, Pair("green", "blue")), TRUE) < 0.03
+    assert reoptimised_return(REGIONS, -TRUE, TRUE) < -0.1
 
 
 def test_the_auc_is_the_fraction_of_correctly_ordered_pairs() -> None:
@@ -152,15 +151,10 @@ def test_goal_sensitivity_is_1_for_a_reward_that_depends_on_the_goal_and_half_ot
     assert goal_sensitivity(table, other, np.array([[3.0, 2.0], [1.0, 0.0]])) == pytest.approx((3 + 2 / 2) / 6)
 
 
-def test_the_incoming_mean_averages_over_transitions_from_other_cells() -> None:
-    world = build_world([Layout.parse("row", "..B")])
+def test_the_state_mean_is_over_actions() -> None:
     reward = np.zeros((3, 5))
-    reward[1, 3], reward[1, 2], reward[2, 4], reward[0, 3] = -4, 2, 9, 1  # onto blue, back left, stay on blue, right
+    reward[1, 3], reward[1, 2], reward[2, 4], reward[0, 3] = -4, 2, 9, 1
     assert state_mean(reward) == pytest.approx([1 / 5, -2 / 5, 9 / 5])
-    # Cell 0 is entered from 1 at 2; cell 1 from 0 at 1 and from 2 at 0; blue from 1 at -4.
-    assert incoming_mean(world, reward) == pytest.approx([2, 0.5, -4])
-    alone = build_world([Layout.parse("alone", ".")])
-    assert np.isnan(incoming_mean(alone, np.ones((1, 5)))).all()
 
 
 def test_the_avoid_rank_counts_the_neutral_cells_with_a_higher_score() -> None:
@@ -192,22 +186,20 @@ def test_avoided_cells_are_matched_only_with_neutral_cells_of_their_own_layout()
     assert matched_avoid_rank(world, score, RED_NOT_BLUE) == 1
 
 
-def test_the_violation_rates_are_exact() -> None:
+def test_the_violation_rate_is_exact() -> None:
     world = build_world([Layout.parse("row", ".BR")])
     right = np.zeros((3, 5))
     right[:, 3] = 1
     assert violation_rate(world, right, RED_NOT_BLUE, horizon=4) == pytest.approx(1)
-    assert violation_step_fraction(world, right, RED_NOT_BLUE, horizon=4) == pytest.approx(1 / 4)
     assert violation_rate(world, right, RED_NOT_BLUE, horizon=1) == 0
     # The random policy moves right with probability 1/5. The fourth action is taken after three moves.
     assert violation_rate(world, random_policy(world), RED_NOT_BLUE, horizon=4) == pytest.approx(1 - 0.8**3)
 
 
 @pytest.mark.parametrize("slip", [0.0, 0.2])
-def test_the_violation_rates_match_sampled_episodes(slip: float) -> None:
+def test_the_violation_rate_matches_sampled_episodes(slip: float) -> None:
     world = build_world([random_layout(0)], slip)
     pi, rng = random_policy(world), np.random.default_rng(0)
     starts = rng.choice(len(world), size=20_000, p=world.start)
     on_blue = world.colour[sample_trajectories(world, pi, starts, rng, horizon=12).states[:, :-1]] == 3
     assert violation_rate(world, pi, RED_NOT_BLUE, 12) == pytest.approx(on_blue.any(axis=1).mean(), abs=0.015)
-    assert violation_step_fraction(world, pi, RED_NOT_BLUE, 12) == pytest.approx(on_blue.mean(), abs=0.01)

@@ -9,7 +9,8 @@ from giirl_core.wire import delivery
 from giirl_core.wire import messages as wire
 from giirl_core.wire.delivery import Grant, IncarnationCounts, Notice
 from giirl_core.wire.messages import Stamp
-from learner.stream.admission import Admission, IngestLimits
+from learner.stream.admission import Admission
+from learner.stream.flow import IngestLimits
 from learner.stream.snapshot import IngestSnapshot
 from tests.giirl_core.wire_examples import episode
 

@@ -1,35 +1,42 @@
-"""Small pages, goals and nets that the tests of learning are made of."""
+"""Small pages, goals, nets and demonstrations for the tests of the learner."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
-from actors.agents import ExpertAgent
+from actors.agents import ExpertAgent, PolicyAgent
 from actors.rollouts import Schedule, play
 from browser_farm.experts import expert
 from browser_farm.fake import TASKS, FakeFarm
 from giirl_core.config import NetConfig
 from giirl_core.metrics import Metrics
-from giirl_core.nets.features import Batch, collate, featurise
+from giirl_core.nets.action_batch import ActionBatch
+from giirl_core.nets.batch import Batch, collate
+from giirl_core.nets.features import Features, featurise
 from giirl_core.nets.language import Vectors, load_vectors
+from giirl_core.nets.layout import MATCH_KINDS
 from giirl_core.nets.models import PolicyNet, RewardNet
-from giirl_core.types import Action, Episode, Goal, Page, Purpose, Trajectory, Verb
+from giirl_core.sampled_actions import SampledActions
+from giirl_core.types import Action, Episode, EpisodeSpec, Goal, Observation, Page, Purpose, Trajectory, Verb
 
 WIDTH = 16
 
 
 def vectors() -> Vectors:
-    """The small table."""
+    """The small table of hashed word vectors."""
     return load_vectors("hashed")
 
 
 def page(*rows: str, value: Sequence[str] = (), parent: Sequence[int] = ()) -> Page:
-    """Rows given as "tag" or "tag:text"."""
+    """A page with one element per row; a row is "tag" or "tag:text"."""
     count = len(rows)
-    tags, texts = zip(*(row.partition(":")[::2] for row in rows), strict=True)
+    tags, texts = zip(*(row.partition(":")[::2] for row in rows), strict=True) if rows else ((), ())
     return Page(
         tag=tags,
         text=texts,
@@ -54,30 +61,45 @@ CASES = (
 
 
 def batch_of(*cases: tuple[Page, Goal]) -> Batch:
-    """Pages under their goals, as tensors."""
-    return collate([featurise(shown, goal, vectors()) for shown, goal in cases])
+    """The batch of some pages under their goals."""
+    return collate([featurise(case_page, goal, vectors()) for case_page, goal in cases])
+
+
+def dense_matches(features: Features) -> NDArray[np.float32]:
+    """[MATCH_KINDS, E, L] the weights of all matches as a dense table."""
+    table = np.zeros((MATCH_KINDS, len(features.element_ids), len(features.token_ids)), dtype=np.float32)
+    element, kind, token = features.match_ids.T
+    table[kind, element, token] = features.match_weights
+    return table
+
+
+def on_one_page(actions: Sequence[Action]) -> ActionBatch:
+    """[1, M] M actions on one page."""
+    columns = [[getattr(action, name) for action in actions] for name in ("verb", "element", "start", "end")]
+    verb, element, start, end = (torch.tensor([column]) for column in columns)
+    return ActionBatch(verb=verb, element=element, start=start, end=end)
 
 
 def policy(seed: int = 0) -> PolicyNet:
-    """An untrained policy."""
+    """An untrained policy net."""
     torch.manual_seed(seed)
     return PolicyNet(vectors(), NetConfig(width=WIDTH))
 
 
 def reward_net(seed: int = 0) -> RewardNet:
-    """An untrained reward."""
+    """An untrained reward net."""
     torch.manual_seed(seed)
     return RewardNet(vectors(), NetConfig(width=WIDTH))
 
 
-def legal_actions(shown: Page, goal: Goal) -> list[Action]:
-    """Every action that the page and the goal allow."""
+def legal_actions(case_page: Page, goal: Goal) -> list[Action]:
+    """All legal actions on a page under a goal: clicks first."""
     words = len(goal.tokens)
-    clicks = [Action(verb=Verb.CLICK, element=e) for e in range(len(shown)) if shown.leaf[e]]
+    clicks = [Action(verb=Verb.CLICK, element=e) for e in range(len(case_page)) if case_page.leaf[e]]
     return clicks + [
         Action(verb=Verb.TYPE, element=e, start=start, end=end)
-        for e in range(len(shown))
-        if shown.typable[e]
+        for e in range(len(case_page))
+        if case_page.typable[e]
         for start in range(words)
         for end in range(start, words)
     ]
@@ -86,7 +108,7 @@ def legal_actions(shown: Page, goal: Goal) -> list[Action]:
 def trajectory(
     goal: str, pages: Sequence[Page], actions: Sequence[Action], *, task: str = "some-task", seed: int = 0
 ) -> Trajectory:
-    """A demonstration, unless its caller says otherwise."""
+    """A demonstration with rewards 0."""
     return Trajectory(
         task=task,
         goal=Goal(goal),
@@ -100,8 +122,22 @@ def trajectory(
 
 
 def expert_episodes(per_task: int, tasks: Sequence[str] = tuple(TASKS), tabs: int = 4) -> list[Episode]:
-    """What the scripted experts do in the fake browser."""
+    """Episodes of the scripted experts in the fake browser."""
     browser = FakeFarm(tabs=tabs)
     schedule = Schedule(tasks, tabs, purpose=Purpose.DEMONSTRATE, run_seed=0, quota=per_task)
     rounds = play(browser, ExpertAgent(expert), schedule, step_limit=10, metrics=Metrics())
     return [episode for ended in rounds for episode in ended]
+
+
+def with_sampled(shown: Trajectory, net: PolicyNet, count: int) -> Trajectory:
+    """The same with so many sampled actions a step, as an actor with this policy samples them."""
+    agent = PolicyAgent(deepcopy(net).cpu(), vectors(), sampled_actions=count)
+    seen = [
+        Observation(episode=EpisodeSpec(task=shown.task, seed=shown.seed), page=page, goal=shown.goal)
+        for page in shown.pages
+    ]
+    uniform = np.random.default_rng(0).random((len(seen), agent.draws, 3), dtype=np.float32)
+    decisions = agent.select_actions(seen, uniform)
+    logp = np.stack([decision.sampled_logp for decision in decisions if decision.sampled_logp is not None])
+    choices = np.stack([decision.sampled for decision in decisions if decision.sampled is not None])
+    return replace(shown, sampled=SampledActions(choices=choices, logp=logp, rewards=np.zeros_like(logp)))

@@ -13,7 +13,7 @@ from giirl_core.wire import delivery
 from giirl_core.wire import messages as wire
 from giirl_core.wire.delivery import Grant, Notice
 from giirl_core.wire.messages import Stamp, WireError
-from learner.stream.admission import IngestLimits
+from learner.stream.flow import IngestLimits
 from tests.giirl_core.wire_examples import episode
 from tests.learner.admitting import AdmissionHarness
 

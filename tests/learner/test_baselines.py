@@ -1,4 +1,4 @@
-"""What GIIRL is compared with: each learns by its own rule, on the same nets, from nothing else than it may."""
+"""The baselines and variants of GIIRL: their update rules, and the data that each of them may use."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ import torch
 from giirl_core.config import CloningConfig, Config, DiscriminatorConfig, NetConfig, PolicyConfig, SoftQConfig
 from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
-from giirl_core.nets.features import Batch, rename
+from giirl_core.nets.augment import rename
+from giirl_core.nets.batch import Batch
 from giirl_core.nets.models import PolicyNet
 from giirl_core.nets.reward import RewardModel, episode_rewards
 from giirl_core.types import Action, Goal, Verb
-from learner.algorithms import ALGORITHMS
+from learner.algorithms import LOOPS
 from learner.data import Replay, collate_steps, featurise_trajectory, last_step, steps_of
 from learner.discriminator import Discriminator
 from learner.learner import Learner
@@ -39,41 +40,50 @@ GOAL = "Type ok."
 RIGHT = Action(verb=Verb.TYPE, element=1, start=1, end=1)
 
 
-def test_a_goal_reward_pays_for_how_an_episode_ends_and_for_nothing_before() -> None:
+def test_the_goal_reward_rewards_only_the_last_step_of_an_episode() -> None:
     logits = torch.tensor([4.0, -1.0, 2.0, 3.0, -2.0])
     parts = episode_rewards(logits, [3, 2], "goal", 5.0)
     assert [part.tolist() for part in parts] == [[0.0, 0.0, 1.0], [0.0, 0.0]]
     assert [len(part) for part in episode_rewards(logits, [3, 2], "logit", 5.0)] == [3, 2]
 
 
-def test_a_discriminator_of_ends_is_shown_last_steps_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    shown: list[Any] = []
+def test_a_discriminator_of_final_steps_samples_only_last_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    examples: list[Any] = []
 
-    def remember(example: Any, rng: Any) -> Any:
-        shown.append(example)
+    def record(example: Any, rng: Any) -> Any:
+        examples.append(example)
         return last_step(example, rng)
 
-    monkeypatch.setattr("learner.discriminator.last_step", remember)
+    monkeypatch.setattr("learner.discriminator.last_step", record)
     config = replace(DiscriminatorConfig(), train_on="final_steps", batch=4, rollouts=1.0, replay=1.0)
     rng = np.random.default_rng(0)
     demos: Any = SimpleNamespace(wrong_goals=lambda expert: [])
-    model: Any = SimpleNamespace(net=torch.nn.Linear(1, 1))
-    judge = Discriminator(config, model, demos, Replay(4, rng), rng, torch.Generator(), reward_lag=1, metrics=Metrics())
+    model: Any = SimpleNamespace(net=torch.nn.Linear(1, 1), device=torch.device("cpu"))
+    discriminator = Discriminator(
+        config, model, demos, Replay(4, rng), rng, torch.Generator(), reward_lag=1, metrics=Metrics()
+    )
     long = featurise_trajectory(trajectory(GOAL, [SHORT, FLAT], [RIGHT, Action(verb=Verb.CLICK, element=0)]), vectors())
-    judge.replay.add([long])
-    sources = judge._sources([long], [long], policy())
-    assert len(shown) == 3 * 4  # experts, rollouts, replay
-    assert {len(step.features.element_tag) for step in sources["replay"][1]} == {len(FLAT)}
+    discriminator.replay.add([long])
+    samples = discriminator._sample_sources([long], [long], policy())
+    assert len(examples) == 4 + 1 + 4  # expert, rollouts, replay
+    weight, pages, column = samples.sources["replay"]
+    assert (weight, column) == (1.0, 0)
+    assert set(samples.batch.clickable[pages].sum(1).tolist()) == {len(FLAT)}
 
 
-def judging(config: DiscriminatorConfig) -> Discriminator:
+def make_discriminator(config: DiscriminatorConfig) -> Discriminator:
     rng, noise = np.random.default_rng(0), torch.Generator().manual_seed(0)
     demos: Any = SimpleNamespace(wrong_goals=lambda expert: [])
     model = RewardModel(reward_net(), vectors(), "logit", 100.0)
     return Discriminator(config, model, demos, Replay(4, rng), rng, noise, reward_lag=1, metrics=Metrics())
 
 
-def imitator(form: str) -> SoftQ:
+def value_of(net: PolicyNet, batch: Batch) -> float:
+    """V of the first page."""
+    return net.state_value(net.encoder(batch))[0].item()
+
+
+def make_soft_q(form: str) -> SoftQ:
     rng = np.random.default_rng(0)
     torch.manual_seed(0)
     config = SoftQConfig(updates=8, batch=16, learning_rate=3e-3)
@@ -81,15 +91,16 @@ def imitator(form: str) -> SoftQ:
 
 
 @pytest.mark.parametrize("form", ["sqil", "iq_learn"])
-def test_soft_q_learning_does_what_experts_do_and_values_it_as_the_rule_says(form: str) -> None:
-    learner = imitator(form)
+def test_soft_q_learning_imitates_the_expert_and_implies_a_higher_reward_for_it(form: str) -> None:
+    learner = make_soft_q(form)
     right = featurise_trajectory(trajectory(GOAL, [SHORT], [RIGHT]), vectors())
     others = [a for a in legal_actions(SHORT, Goal(GOAL)) if a != RIGHT]
     wrong = [featurise_trajectory(trajectory(GOAL, [SHORT], [action]), vectors()) for action in others]
     for _ in range(25):
         stats = learner.update([right], wrong)
     with torch.no_grad():
-        logp, _, _ = learner.net.evaluate(*collate_steps(steps_of([right])))
+        batch, actions = collate_steps(steps_of([right]))
+        logp, _ = learner.net.evaluate(learner.net.encoder(batch), actions)
     assert logp.exp().item() > 0.8
     assert stats["p_implied_expert"] > stats["p_implied_rollouts"] + 0.3
     if form == "sqil":
@@ -98,65 +109,65 @@ def test_soft_q_learning_does_what_experts_do_and_values_it_as_the_rule_says(for
 
 
 @pytest.mark.parametrize("form", ["sqil", "iq_learn"])
-def test_the_value_ahead_is_that_of_the_following_page_and_nothing_after_the_end(form: str) -> None:
-    learner = imitator(form)
+def test_the_next_value_is_that_of_the_next_page_and_0_after_the_end(form: str) -> None:
+    learner = make_soft_q(form)
     two = featurise_trajectory(trajectory(GOAL, [SHORT, FLAT], [RIGHT, Action(verb=Verb.CLICK, element=0)]), vectors())
     first, second = steps_of([two])
     batch, _ = collate_steps([second, first])
-    ahead = learner._values_ahead(batch, torch.tensor([True, False]))
-    assert ahead.tolist() == [pytest.approx(learner.net.value_of(batch)[0].item()), 0.0]
+    ahead = learner._next_values(batch, torch.tensor([True, False]))
+    assert ahead.tolist() == [pytest.approx(value_of(learner.net, batch)), 0.0]
     assert ahead.requires_grad is (form == "iq_learn")
     learner.update([two], [two])
-    later = learner._values_ahead(batch, torch.tensor([True, False]))
-    now, slow = (net.value_of(batch)[0].item() for net in (learner.net, learner.target))
+    later = learner._next_values(batch, torch.tensor([True, False]))
+    now, slow = (value_of(net, batch) for net in (learner.net, learner.target))
     assert later[0].item() == pytest.approx(slow)
     moved, followed = abs(now - ahead[0].item()), abs(slow - ahead[0].item())
-    assert 0 < followed < moved if form == "sqil" else followed == moved > 0  # SQIL's target follows slowly
+    assert 0 < followed < moved if form == "sqil" else followed == moved > 0  # SQIL's target net is a slow copy
 
 
-def test_both_pages_of_a_transition_are_renamed_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_both_pages_of_a_transition_get_the_same_new_words(monkeypatch: pytest.MonkeyPatch) -> None:
     renamed: list[Batch] = []
 
-    def watch(*arguments: Any) -> Batch:
-        renamed.append(rename(*arguments))
+    def record(*args: Any) -> Batch:
+        renamed.append(rename(*args))
         return renamed[-1]
 
-    monkeypatch.setattr("learner.soft_q.rename", watch)
-    learner = imitator("sqil")
+    monkeypatch.setattr("learner.soft_q.rename", record)
+    learner = make_soft_q("sqil")
     twice = featurise_trajectory(trajectory(GOAL, [SHORT, SHORT], [RIGHT, RIGHT]), vectors())
     learner.update([twice], [twice])
-    now, later = renamed[:2]
-    assert torch.equal(now.token_words, later.token_words)
-    assert torch.equal(now.element_words, later.element_words)
-    assert len(now.token_words.unique(dim=0)) > 1
+    current, following = renamed[:2]
+    assert torch.equal(current.token_words, following.token_words)
+    assert torch.equal(current.text_words, following.text_words)
+    assert len(current.token_words.unique()) > len(GOAL.split())
 
 
-def test_the_accuracy_of_late_is_of_both_sides_and_moves_slowly() -> None:
-    judge = judging(DiscriminatorConfig(rename_prob=0.0))
+def test_the_accuracy_is_a_slow_average_over_expert_and_rollouts() -> None:
+    discriminator = make_discriminator(DiscriminatorConfig(rename_prob=0.0))
     long = featurise_trajectory(trajectory(GOAL, [SHORT], [RIGHT]), vectors())
-    before = judge.accuracy
-    stats = judge.update([long], [long], policy())
+    before = discriminator.accuracy
+    stats = discriminator.update([long], [long], policy())
     both = (stats["d_accuracy_expert"] + stats["d_accuracy_rollouts"]) / 2
-    assert both == pytest.approx(0.5)  # whichever way it leans
-    assert judge.accuracy == pytest.approx(before + 0.05 * (both - before))
+    assert both == pytest.approx(0.5)  # the same pair on both sides
+    assert discriminator.accuracy == pytest.approx(before + 0.05 * (both - before))
 
 
 class Recorder:
-    """A learner all of whose parts answer with their names."""
+    """A learner whose parts record their calls and return their names."""
 
     def __init__(self) -> None:
         self.calls: list[str] = []
         part = self._part
         self.featurise, self.carried_rewards = part("featurise"), part("carried_rewards")
         self.demos = SimpleNamespace(sample=part("expert"))
-        self.discriminator = SimpleNamespace(update=part("d_update"), rewards=part("rewards"), reward_fn="reward_fn")
+        self.discriminator = SimpleNamespace(update=part("d_update"), rewards=part("rewards"))
         self.policy = SimpleNamespace(update=part("p_update"), net="net")
         self.cloner = SimpleNamespace(update=part("clone"))
         self.soft_q = SimpleNamespace(update=part("soft_q"))
 
     def _part(self, name: str) -> Any:
-        def call(*given: Any, **named: Any) -> Any:
-            self.calls.append(f"{name}({', '.join(str(each) for each in given)})")
+        def call(*args: Any, **kwargs: Any) -> Any:
+            self.calls.append(f"{name}({', '.join(map(str, args))})")
             return name
 
         return call
@@ -170,25 +181,25 @@ class Recorder:
             [
                 "featurise(take)",
                 "rewards(featurise)",
-                "p_update(featurise, rewards, reward_fn)",
+                "p_update(featurise, rewards)",
             ],
         ),
         (
             "true_reward",
-            ["featurise(take)", "carried_rewards(featurise)", "p_update(featurise, carried_rewards, None)"],
+            ["featurise(take)", "carried_rewards(featurise)", "p_update(featurise, carried_rewards)"],
         ),
         ("sqil", ["featurise(take)", "expert(64)", "soft_q(expert, featurise)"]),
         ("iq_learn", ["featurise(take)", "expert(64)", "soft_q(expert, featurise)"]),
     ],
 )
-def test_each_baseline_uses_what_it_may_and_nothing_else(algorithm: str, calls: list[str]) -> None:
+def test_each_baseline_uses_only_the_data_it_may(algorithm: str, calls: list[str]) -> None:
     learner: Any = Recorder()
     source: Any = SimpleNamespace(take=lambda episodes: "take")
-    ALGORITHMS[algorithm](Config(), learner, source, range(1), lambda step, stats: None)
+    LOOPS[algorithm](Config(), learner, source, range(1), lambda step, stats: None)
     assert learner.calls == calls
 
 
-def test_about_the_asked_share_of_goals_is_held_out_and_case_and_punctuation_make_no_other_goal() -> None:
+def test_held_out_goals_have_the_wanted_fraction_and_ignore_case_and_punctuation() -> None:
     goals = [Goal(f'Click on the "word{number}" button.') for number in range(2_000)]
     held = [is_held_out(goal, 0.25) for goal in goals]
     assert 0.2 < np.mean(held) < 0.3
@@ -197,21 +208,21 @@ def test_about_the_asked_share_of_goals_is_held_out_and_case_and_punctuation_mak
     assert not any(is_held_out(goal, 0.0) for goal in goals)
 
 
-def test_without_overlap_a_net_reads_the_same_of_words_that_agree_and_words_that_do_not() -> None:
-    agree = batch_of((FLAT, Goal('Click on the "Ok" button.')))
+def test_without_goal_overlap_the_encoding_does_not_depend_on_common_words() -> None:
+    batch = batch_of((FLAT, Goal('Click on the "Ok" button.')))
     for overlap, same in ((True, False), (False, True)):
         torch.manual_seed(0)
         net = PolicyNet(vectors(), NetConfig(width=16, goal_overlap=overlap))
-        blind = replace(
-            agree,
-            matches=torch.zeros_like(agree.matches),
-            token_flags=agree.token_flags * torch.tensor([1, 1, 1, 0, 0, 1.0]),
-            element_flags=agree.element_flags * torch.tensor([1.0] * 10 + [0.0] * 6),
+        without = replace(
+            batch,
+            match_weight=torch.zeros_like(batch.match_weight),
+            token_flags=batch.token_flags * torch.tensor([1, 1, 1, 0, 0, 1.0]),
+            element_flags=batch.element_flags * torch.tensor([1.0] * 10 + [0.0] * 6),
         )
-        assert torch.equal(net.encoder(agree).elements, net.encoder(blind).elements) is same
+        assert torch.equal(net.encoder(batch).elements, net.encoder(without).elements) is same
 
 
-def test_a_bag_of_words_does_not_know_their_order() -> None:
+def test_without_word_order_the_encoding_does_not_depend_on_it() -> None:
     one, two = Goal("Click Ok not Cancel"), Goal("Click Cancel not Ok")
     for order, same in ((True, False), (False, True)):
         torch.manual_seed(0)
@@ -220,22 +231,18 @@ def test_a_bag_of_words_does_not_know_their_order() -> None:
         assert torch.allclose(first, second, atol=1e-5) is same
 
 
-def test_without_neighbours_an_element_is_read_alone() -> None:
-    alone = page("button:Ok")
-    for neighbours, same in ((True, False), (False, True)):
+def test_without_attention_an_element_is_encoded_independently_of_the_others() -> None:
+    pages = page("button:Ok"), page("button:Ok", "div:x")
+    for attention, same in ((True, False), (False, True)):
         torch.manual_seed(0)
-        encoder = PolicyNet(vectors(), NetConfig(width=16, element_attention=neighbours)).encoder
-        first, second = (
-            encoder(batch_of((shown, Goal("Click Ok")))).elements[0, 0] for shown in (alone, page("button:Ok", "div:x"))
-        )
+        encoder = PolicyNet(vectors(), NetConfig(width=16, element_attention=attention)).encoder
+        first, second = (encoder(batch_of((each, Goal("Click Ok")))).elements[0] for each in pages)
         assert torch.allclose(first, second, atol=1e-6) is same
 
 
 @pytest.mark.parametrize("form", ["plain", "airl"])
-def test_the_airl_form_weighs_a_logit_against_how_likely_the_policy_is_to_do_it(
-    form: Literal["plain", "airl"],
-) -> None:
-    """Where expert and policy act alike the optimal logit is 0: AIRL's f then is log pi, the plain form's is 0."""
+def test_the_optimal_airl_reward_is_log_pi_where_expert_and_policy_act_alike(form: Literal["plain", "airl"]) -> None:
+    """If both act alike, D = 1/2 and the logit is 0. AIRL's logit is f - log pi, so f = log pi. Plain, f = 0."""
     none = {"rollouts": 0.0, "replay": 0.0, "random_actions": 0.0, "wrong_goal": 0.0, "rename_prob": 0.0}
     config = DiscriminatorConfig(form=form, updates=1, batch=32, policy_on_expert_states=1.0, **none)  # type: ignore[arg-type]
     net = policy()
@@ -244,22 +251,23 @@ def test_the_airl_form_weighs_a_logit_against_how_likely_the_policy_is_to_do_it(
         steps_of([featurise_trajectory(trajectory(GOAL, [SHORT], [a]), vectors()) for a in actions])
     )
     with torch.no_grad():
-        logp = net.evaluate(batch, every)[0].squeeze(1)
-    judge = judging(config)
+        logp = net.evaluate(net.encoder(batch), every)[0].squeeze(1)
+    discriminator = make_discriminator(config)
     noise = torch.Generator().manual_seed(0)
     played = torch.multinomial(logp.exp(), 400, replacement=True, generator=noise).tolist()
     expert = [featurise_trajectory(trajectory(GOAL, [SHORT], [actions[i]]), vectors()) for i in played]
     for start in range(0, 400, 32):
-        judge.update(expert[start : start + 32], expert[:1], net)
-        judge.update(expert[start : start + 32], expert[:1], net)
-    learned = judge.reward_fn(batch, every).squeeze(1)
-    likely = logp > logp.max() - 3
-    gap = (learned - (logp if form == "airl" else 0.0))[likely].abs().mean().item()
-    wrong = (learned - (0.0 if form == "airl" else logp))[likely].abs().mean().item()
+        discriminator.update(expert[start : start + 32], expert[:1], net)
+        discriminator.update(expert[start : start + 32], expert[:1], net)
+    with torch.no_grad():
+        learned = discriminator.model.net(batch, every).squeeze(1)
+    frequent = logp > logp.max() - 3
+    gap = (learned - (logp if form == "airl" else 0.0))[frequent].abs().mean().item()
+    wrong = (learned - (0.0 if form == "airl" else logp))[frequent].abs().mean().item()
     assert gap < wrong
 
 
-def test_a_discriminator_that_slows_with_its_accuracy_learns_at_full_rate_while_it_is_right() -> None:
+def test_the_accuracy_schedule_lowers_the_rate_from_accuracy_1_to_one_half() -> None:
     demonstrations = [episode.trajectory for episode in expert_episodes(1)]
     config = Config(
         net=NetConfig(width=16, vectors="hashed"),
@@ -272,7 +280,7 @@ def test_a_discriminator_that_slows_with_its_accuracy_learns_at_full_rate_while_
         assert learner.discriminator.optimiser.param_groups[0]["lr"] == pytest.approx(rate)
 
 
-def test_the_rates_of_policy_and_cloning_and_the_entropy_fall_along_a_line() -> None:
+def test_learning_rates_and_entropy_decay_linearly() -> None:
     demonstrations = [episode.trajectory for episode in expert_episodes(1)]
     config = Config(
         iterations=101,

@@ -1,4 +1,4 @@
-"""Checkpoints are atomic, and a damaged one is reported in one line that says how to resume all the same."""
+"""Checkpoints are atomic, and the error for a damaged one says in one line how to resume from an older one."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from gridcraft.instructions import Pair
 from gridcraft.layouts import Layout, named_layout
 from gridcraft.planning import normalized_return, random_policy, solve
 from gridcraft.world import ACTIONS, HORIZON, build_world, observations, true_reward
-from learner.grid.learner import GridLearner, soft_target
+from learner.grid.learner import GridLearner, GridSoftQ, RewardFn, soft_target
 from learner.grid.nets import GridFeatures, one_hot, policy_table, reward_table
 from learner.grid.steps import GridDemos, Steps, expert_steps
 
@@ -152,6 +152,12 @@ def test_demonstrations_are_sampled_as_whole_episodes() -> None:
     assert (steps.goal.reshape(7, HORIZON) == steps.goal[::HORIZON, None]).all()
 
 
+def grid_policy(learner: GridLearner, reward_fn: RewardFn) -> GridSoftQ:
+    """A fresh policy like the learner's, on another reward."""
+    random = learner.discriminator._random
+    return GridSoftQ(learner.config, learner.features, learner.goals, random, learner.rng, reward_fn)
+
+
 def test_a_fresh_soft_q_learner_learns_from_a_frozen_reward() -> None:
     config = dataclasses.replace(
         SMALL, policy=dataclasses.replace(SMALL.policy, updates=400), grid=GridConfig(goals=("red-blue",))
@@ -165,8 +171,9 @@ def test_a_fresh_soft_q_learner_learns_from_a_frozen_reward() -> None:
         return frozen[steps.state, steps.action]
 
     rollouts = learner.demos.sample(4)
-    learner.policy.update(rollouts, reward_fn(rollouts), reward_fn)
-    got = policy_table(learner.policy.net, learner.features, 0)
+    policy = grid_policy(learner, reward_fn)
+    policy.update(rollouts, reward_fn(rollouts))
+    got = policy_table(policy.net, learner.features, 0)
     assert normalized_return(world, got, true) > 0.9 > normalized_return(world, random_policy(world), true)
 
 
@@ -251,5 +258,5 @@ def test_q_learning_relabels_steps_with_every_sentence() -> None:
         return torch.zeros(len(steps))
 
     rollouts = learner.demos.sample(4).with_goals(np.zeros(4 * HORIZON, dtype=np.int64))
-    learner.policy.update(rollouts, torch.zeros(len(rollouts)), reward_fn)
+    grid_policy(learner, reward_fn).update(rollouts, torch.zeros(len(rollouts)))
     assert set(scored[0].goal.tolist()) == set(range(len(PAIRS)))

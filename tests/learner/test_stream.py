@@ -18,7 +18,7 @@ from giirl_core.wire import delivery
 from giirl_core.wire import messages as wire
 from giirl_core.wire.delivery import Grant
 from giirl_core.wire.transport import Dealer, Router
-from learner.stream.admission import IngestLimits
+from learner.stream.flow import IngestLimits
 from learner.stream.ingest import Ingest
 from learner.stream.snapshot import IngestSnapshot
 from tests.giirl_core.wire_examples import STAMP, episode
@@ -79,18 +79,19 @@ def _take_with(ingest: Ingest, episodes: int, *uplinks: Uplink) -> list[Episode]
     return ingest.take(episodes, WAIT_S)
 
 
-def test_an_actor_is_not_ready_while_the_learner_takes_no_episodes() -> None:
+def test_an_actor_may_start_no_episode_while_the_learner_takes_none() -> None:
     with open_ingest(credits_=2) as ingest, closing(open_uplink(ingest.address)) as uplink:
         for seed in range(12):
             uplink.submit(episode(1, seed=seed))
         until(lambda: ingest.queued == 2, uplink)
         assert not uplink.flush(0.3)
-        assert (ingest.queued, uplink.unacked, uplink.ready) == (2, 10, False)
+        assert (ingest.queued, uplink.unacked, uplink.startable(0)) == (2, 10, 0)
         ingest.take(2, WAIT_S)
         until(lambda: uplink.unacked == 8, uplink)
         taken = [e.trajectory.seed for _ in range(5) for e in _take_with(ingest, 2, uplink)]
         assert taken == list(range(2, 12))
-        until(lambda: uplink.ready, uplink)
+        until(lambda: uplink.startable(0) == 2, uplink)
+        assert uplink.startable(1) == 1  # while one is played
 
 
 def test_a_freed_credit_is_granted_at_once_and_not_at_the_next_heartbeat(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,19 +109,19 @@ def test_a_freed_credit_is_granted_at_once_and_not_at_the_next_heartbeat(monkeyp
 
 def test_an_actor_with_a_full_buffer_pauses_and_asks_for_a_checkpoint() -> None:
     size = len(wire.encode_episode(episode(1), stamp=STAMP))
-    limits = UplinkLimits(max_unacked=64, max_kept_bytes=4 * size, heartbeat_s=0.05, hello_s=0.05)
+    limits = UplinkLimits(max_kept_bytes=4 * size, heartbeat_s=0.05, hello_s=0.05)
     with open_ingest(credits_=64) as ingest, closing(open_uplink(ingest.address, limits=limits)) as uplink:
         uplink.submit(episode(1))
         assert uplink.flush(WAIT_S)
         assert not ingest.wants_commit
-        while uplink.ready:
+        while uplink.startable(0):
             uplink.submit(episode(1))
         until(lambda: ingest.wants_commit and not uplink.unacked, uplink)
-        assert not uplink.ready
+        assert not uplink.startable(0)
         kept = uplink.kept
         until(lambda: uplink.kept == kept, uplink)  # no episode is discarded
         ingest.commit(ingest.snapshot())
-        until(lambda: uplink.ready and not uplink.kept and not ingest.wants_commit, uplink)
+        until(lambda: uplink.startable(0) > 0 and not uplink.kept and not ingest.wants_commit, uplink)
 
 
 def test_a_take_that_times_out_names_the_actors_and_loses_no_episode() -> None:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from actors.uplink import Uplink
 from giirl_core.metrics import Metrics
-from giirl_core.types import Trajectory, Weights
+from giirl_core.types import Trajectory
+from giirl_core.weights import Weights
 from giirl_core.wire import messages as wire
 from giirl_core.wire import scoring
 from giirl_core.wire.score_client import ScoreClient

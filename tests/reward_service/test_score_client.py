@@ -9,7 +9,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from giirl_core.types import Trajectory, Weights
+from giirl_core.types import Trajectory
+from giirl_core.weights import Weights
 from giirl_core.wire import messages as wire
 from giirl_core.wire import scoring
 from giirl_core.wire.score_client import ScoreClient

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from giirl.analysis.swaps import renamed
+from giirl.analysis.swaps import swap_goal
 from giirl.report.element_rewards import describe_action, scale_of, score_elements
 from giirl_core.config_file import load_config
 from giirl_core.nets.reward import RewardModel
@@ -36,7 +36,7 @@ def test_a_page_without_elements_has_no_rewards() -> None:
 
 
 def test_the_other_instruction_names_another_element_of_the_same_kind() -> None:
-    swap = renamed(observation(page("t:Ok", "button:Ok", "button:ok", "link:No"), 'Click on the "Ok" button.'))
+    swap = swap_goal(observation(page("t:Ok", "button:Ok", "button:ok", "link:No"), 'Click on the "Ok" button.'))
     assert swap is not None
     assert (swap.tag, swap.wanted, swap.other) == ("button", "Ok", "ok")
     assert swap.goal.utterance == 'Click on the "ok" button.'
@@ -44,22 +44,22 @@ def test_the_other_instruction_names_another_element_of_the_same_kind() -> None:
 
 def test_quoted_text_is_swapped_before_other_text() -> None:
     on = page("button:Submit", "button:Back", "t:Ada", "t:Emil")
-    swap = renamed(observation(on, 'Find "Ada" and press Submit.'))
+    swap = swap_goal(observation(on, 'Find "Ada" and press Submit.'))
     assert swap is not None
     assert swap.goal.utterance == 'Find "Emil" and press Submit.'
 
 
 def test_the_seed_determines_the_other_element() -> None:
     on = page("button:Ok", *(f"button:b{i}" for i in range(20)))
-    others = {seed: [renamed(observation(on, 'Click "Ok".', seed)) for _ in range(2)] for seed in range(9)}
+    others = {seed: [swap_goal(observation(on, 'Click "Ok".', seed)) for _ in range(2)] for seed in range(9)}
     assert all(one == again and one is not None for one, again in others.values())
     assert len({pair[0].other for pair in others.values() if pair[0] is not None}) > 1
 
 
 @pytest.mark.parametrize("goal", ["Click the button.", 'Enter "Ada" and press Submit.', 'Click "ok".'])
 def test_an_instruction_without_a_swappable_element_has_no_swap(goal: str) -> None:
-    assert renamed(observation(page("button:Submit", "input_text", "t:Ada", "link:ok"), goal)) is None
-    assert renamed(observation(page("link:ok", "link:no"), 'Click "ok".'), "button") is None
+    assert swap_goal(observation(page("button:Submit", "input_text", "t:Ada", "link:ok"), goal)) is None
+    assert swap_goal(observation(page("link:ok", "link:no"), 'Click "ok".'), "button") is None
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from click.testing import CliRunner, Result
 from giirl.cli.main import giirl
 from giirl.report.render import render, scale_view, strip_view
 from giirl.run.folder import RunFolder
+from giirl_core.files import write_json
 from giirl_core.types import Purpose, page_seed
 from tests.giirl.report.examples import HOSTILE, SCALE, hostile_strip
 from tests.giirl.small import run
@@ -49,7 +50,7 @@ class Reading(HTMLParser):
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished run in the fake browser."""
     path = tmp_path_factory.mktemp("finished") / "run"
-    RunFolder(path).write_json(path / "result.json", run(path))
+    write_json(path / "result.json", run(path))
     return path
 
 
@@ -162,7 +163,7 @@ def test_inspect_draws_a_page_under_the_requested_instruction(finished: Path, tm
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["report", "nowhere"], "nowhere is no run"),
+        (["report", "nowhere"], "nowhere is not a run"),
         (["report", "RUN", "--out", "missing/a.html"], "cannot write missing/a.html"),
         (["reward", "inspect", "RUN", "--task", "click-buton", "--seed", "1"], "no task 'click-buton'"),
         (["reward", "inspect", "RUN", "--task", "click-test", "--seed", f"{1 << 53}"], "is out of range"),

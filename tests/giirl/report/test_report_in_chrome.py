@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from giirl.cli.main import giirl
 from giirl.report.render import render, scale_view, strip_view
-from giirl.run.folder import RunFolder
+from giirl_core.files import write_json
 from tests.giirl.report.examples import HOSTILE, SCALE, hostile_strip
 from tests.giirl.report.reader import Reader, Reading
 from tests.giirl.small import run
@@ -24,7 +24,7 @@ WIDTHS = (390, 1400)
 def real(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The report of a small run on real pages."""
     path = tmp_path_factory.mktemp("real") / "run"
-    RunFolder(path).write_json(path / "result.json", run(path, "browser=chrome", "iterations=2", "step_limit=2"))
+    write_json(path / "result.json", run(path, "browser=chrome", "iterations=2", "step_limit=2"))
     done = CliRunner().invoke(giirl, ["report", str(path), "--pages", "2"])
     assert done.exit_code == 0, done.exception
     return path / "report.html"

@@ -93,8 +93,8 @@ def test_a_served_reward_answers_until_it_is_interrupted(finished: Path) -> None
     [
         (["score", "RUN", "missing.giirl"], "missing.giirl"),
         (["score", "RUN", "notes.txt"], "notes.txt is not an episode file"),
-        (["score", "nowhere", "notes.txt"], "nowhere is no run"),
-        (["serve", "nowhere"], "nowhere is no run"),
+        (["score", "nowhere", "notes.txt"], "nowhere is not a run"),
+        (["serve", "nowhere"], "nowhere is not a run"),
         (["score", "CLONED", "notes.txt"], "learned no reward"),
         (["serve", "CLONED"], "learned no reward"),
     ],

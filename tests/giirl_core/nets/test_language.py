@@ -1,4 +1,4 @@
-"""Word vectors (the installed GloVe table, hashed vectors) and bags of words."""
+"""Word vectors (the installed GloVe table and hashed vectors) and bags of words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Pages and goals as arrays: what the nets see, and nothing else of the page."""
+"""Reference implementation of the features, for tests: plain loops and padded tables [B, E, ...].
+
+`giirl_core.nets.features`, `batch` and `augment` must give the same values.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +17,14 @@ from torch import Tensor
 from giirl_core.nets.language import FIRST_WORD, PADDING, UNKNOWN, Vectors
 from giirl_core.types import NO_SPAN, TOKEN, Action, Goal, Page, Verb
 
-WORDS = 8  # words of one element's text that are read
+WORDS = 8  # words of an element that the nets read
 TAGS = 128  # hash buckets of tag names
 CLASSES = 64  # hash buckets of class names
 CLASS_SLOTS = 3
 TOKEN_FLAGS = 6
 ELEMENT_FLAGS = 16
-ELEMENT_OVERLAP, TOKEN_OVERLAP = slice(10, 16), slice(3, 5)  # the columns that say where goal and page agree
-POSITION = slice(0, 4)  # the columns of Features.element_flags that hold left, top, width, height
+ELEMENT_OVERLAP, TOKEN_OVERLAP = slice(10, 16), slice(3, 5)  # columns that mark common words of goal and page
+POSITION = slice(0, 4)  # columns of Features.element_flags with left, top, width, height
 WIDTH_PX, HEIGHT_PX = 160.0, 210.0
 
 
@@ -31,18 +34,18 @@ class Features:
 
     token_words: NDArray[np.int64]  # [L] row of the word vectors
     token_flags: NDArray[np.float32]  # [L, TOKEN_FLAGS]
-    token_open: NDArray[np.bool_]  # [L] words that this page gives their meaning: quoted, or on the page
-    element_words: NDArray[np.int64]  # [E, WORDS] row of the word vectors, 0 beyond the text
+    token_open: NDArray[np.bool_]  # [L] True for words that are quoted or on the page
+    element_words: NDArray[np.int64]  # [E, WORDS] row of the word vectors, 0 after the last word
     element_tag: NDArray[np.int64]  # [E]
     element_classes: NDArray[np.int64]  # [E, CLASS_SLOTS]
     element_flags: NDArray[np.float32]  # [E, ELEMENT_FLAGS]
-    matches: NDArray[np.float32]  # [3, E, L] whole text, any word of the text, value: where the goal says the same
+    matches: NDArray[np.float32]  # [3, E, L] common words of the goal and the whole text, any word, the whole value
     clickable: NDArray[np.bool_]  # [E]
     typable: NDArray[np.bool_]  # [E]
 
 
 def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
-    """Arrays for one page under one goal. Overlap is exact in case and spelling unless it says `folded`."""
+    """The features of a page under a goal. Overlap is case-sensitive, except where words are `folded`."""
     tokens, folded = goal.tokens, [token.lower() for token in goal.tokens]
     quoted = _quoted(goal)
     count, length = len(page), len(tokens)
@@ -63,7 +66,7 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
         classes[e, : len(named)] = [1 + zlib.crc32(name.encode()) % (CLASSES - 1) for name in named]
         lower = {word.lower() for word in read}
         on_page |= lower
-        whole, held = _cover(tokens, text), _cover(tokens, value)
+        whole, held = _covered(tokens, text), _covered(tokens, value)
         matches[:, e] = whole, [token in lower for token in folded], held
         flags[e, 4:] = (
             page.focused[e],
@@ -74,7 +77,7 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
             bool(value),
             whole.any(),
             bool((whole * quoted).any()),
-            _cover(folded, [word.lower() for word in text]).any(),
+            _covered(folded, [word.lower() for word in text]).any(),
             len(lower & set(folded)) / max(len(lower), 1),
             held.any(),
             bool((held * quoted).any()),
@@ -97,7 +100,7 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
         element_tag=tags,
         element_classes=classes,
         element_flags=flags,
-        matches=_spread(matches),
+        matches=_normalised(matches),
         clickable=leaf,
         typable=typable,
     )
@@ -108,14 +111,14 @@ def _words(text: str) -> list[str]:
 
 
 def _quoted(goal: Goal) -> NDArray[np.bool_]:
-    """[L] True for words between a pair of double quotes."""
+    """[L] True between a pair of double quotes."""
     marks = np.cumsum([token == '"' for token in goal.tokens])
     inside: NDArray[np.bool_] = (marks % 2 == 1) & np.array([token != '"' for token in goal.tokens])
     return inside
 
 
-def _cover(tokens: Sequence[str], words: Sequence[str]) -> NDArray[np.float32]:
-    """[L] 1 where `words`, whole and in order, stand in `tokens`."""
+def _covered(tokens: Sequence[str], words: Sequence[str]) -> NDArray[np.float32]:
+    """[L] 1 where the complete sequence `words` occurs in `tokens`."""
     covered = np.zeros(len(tokens), dtype=np.float32)
     if words:
         first, n = words[0], len(words)
@@ -125,8 +128,8 @@ def _cover(tokens: Sequence[str], words: Sequence[str]) -> NDArray[np.float32]:
     return covered
 
 
-def _spread(matches: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Each row sums to 1 or 0, so that a match reads the mean of the words it covers."""
+def _normalised(matches: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Scale each row to the sum 1, unless it is 0, so that it averages the words it covers."""
     total = matches.sum(axis=2, keepdims=True)
     spread: NDArray[np.float32] = np.divide(matches, total, out=matches, where=total > 0)
     return spread
@@ -134,7 +137,7 @@ def _spread(matches: NDArray[np.float32]) -> NDArray[np.float32]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Batch:
-    """Features of B pages, padded to the longest goal and the fullest page. Fields as in Features."""
+    """The features of B pages, padded to the longest goal and the page with the most elements."""
 
     token_words: Tensor  # [B, L] int64
     token_flags: Tensor  # [B, L, TOKEN_FLAGS]
@@ -155,7 +158,7 @@ class Batch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ActionBatch:
-    """M actions on each of B pages: verb, element and the span of the goal that is copied (-1 where none)."""
+    """M actions on each of B pages. `start` and `end` are the first and last goal token to type, -1 for none."""
 
     verb: Tensor  # [B, M] int64
     element: Tensor  # [B, M] int64
@@ -163,7 +166,7 @@ class ActionBatch:
     end: Tensor  # [B, M] int64
 
     def first(self) -> list[Action]:
-        """The first action of each page."""
+        """[B] the first action on each page."""
         columns = (part[:, 0].tolist() for part in (self.verb, self.element, self.start, self.end))
         return [
             Action(verb=Verb(verb), element=element, start=start, end=end)
@@ -172,7 +175,7 @@ class ActionBatch:
 
 
 def collate(rows: Sequence[Features]) -> Batch:
-    """Pad and stack; an empty sequence is an error of ours."""
+    """Pad and stack the features of B pages, B >= 1."""
     assert rows, "collate needs at least one page"
     size = len(rows)
     length = max(len(row.token_words) for row in rows)
@@ -206,13 +209,13 @@ def collate(rows: Sequence[Features]) -> Batch:
 
 
 def collate_actions(actions: Sequence[Action]) -> ActionBatch:
-    """One action for each of B pages."""
+    """[B, 1] one action on each of B pages."""
     verb, element, start, end = _table(actions).unsqueeze(2)
     return ActionBatch(verb=verb, element=element, start=start, end=end)
 
 
-def collate_choices(actions: Sequence[Action]) -> ActionBatch:
-    """M actions on one page."""
+def collate_candidates(actions: Sequence[Action]) -> ActionBatch:
+    """[1, M] M candidate actions on one page."""
     verb, element, start, end = _table(actions).unsqueeze(1)
     return ActionBatch(verb=verb, element=element, start=start, end=end)
 
@@ -223,28 +226,23 @@ def _table(actions: Sequence[Action]) -> Tensor:
     return torch.from_numpy(table).T.contiguous()
 
 
-def rename(batch: Batch, actions: ActionBatch, chance: float, jitter: float, generator: torch.Generator) -> Batch:
-    """The same pages, with one action each, in other words: open words become random ones, alike in goal and page.
-
-    A row is renamed with probability `chance`; overlap features stay as they are, since renaming is
-    consistent. Positions of such a row shift together by up to `jitter` of the page. A net that sees this
-    must read which words agree, and cannot remember which pages were demonstrated.
-    """
+def rename(batch: Batch, actions: ActionBatch, prob: float, jitter: float, generator: torch.Generator) -> Batch:
+    """Replace the open words of some pages by random ones, and shift their boxes, as `giirl_core.nets.augment`."""
     size = len(batch)
-    chosen = torch.rand(size, generator=generator) < chance
+    chosen = torch.rand(size, generator=generator) < prob
     salt = torch.randint(1, 1 << 30, (size,), generator=generator) | 1
     rows = torch.arange(batch.token_words.shape[1])
     typed = (rows >= actions.start) & (rows <= actions.end) & (actions.start != NO_SPAN)
-    opened = (batch.token_open | typed) & (batch.token_words >= FIRST_WORD) & chosen[:, None]
+    renamed = (batch.token_open | typed) & (batch.token_words >= FIRST_WORD) & chosen[:, None]
     shift = (torch.rand(size, 1, 2, generator=generator) * 2 - 1) * jitter * chosen[:, None, None]
     flags = batch.element_flags.clone()
     flags[:, :, :2] += shift
     return replace(
         batch,
-        token_words=torch.where(opened, _other(batch.token_words, salt[:, None]), batch.token_words),
+        token_words=torch.where(renamed, _replacement(batch.token_words, salt[:, None]), batch.token_words),
         element_words=torch.where(
             (batch.element_words >= FIRST_WORD) & chosen[:, None, None],
-            _other(batch.element_words, salt[:, None, None]),
+            _replacement(batch.element_words, salt[:, None, None]),
             batch.element_words,
         ),
         element_flags=flags,
@@ -252,17 +250,17 @@ def rename(batch: Batch, actions: ActionBatch, chance: float, jitter: float, gen
 
 
 def without_overlap(batch: Batch) -> Batch:
-    """The same pages, with nothing that says where goal and page agree: a study's question, what words alone do."""
+    """The batch without the features that mark common words of goal and page."""
     tokens, elements = batch.token_flags.clone(), batch.element_flags.clone()
     tokens[:, :, TOKEN_OVERLAP] = 0.0
     elements[:, :, ELEMENT_OVERLAP] = 0.0
     return replace(batch, token_flags=tokens, element_flags=elements, matches=torch.zeros_like(batch.matches))
 
 
-COMMON_WORDS = 4000  # renamed words come from this many of the commonest, whatever the table
+COMMON_WORDS = 4000  # replacements are among this many most frequent words of the table
 
 
-def _other(words: Tensor, salt: Tensor) -> Tensor:
-    """A word that depends on the old word and the salt alone; one in eight is a word the table lacks."""
+def _replacement(words: Tensor, salt: Tensor) -> Tensor:
+    """A word that depends only on the old word and the salt; one in eight is an unknown word."""
     mixed = ((words * 2654435761 + salt * 40503) ^ (salt >> 3)) & 0x7FFFFFFF
     return torch.where(mixed % 8 == 0, UNKNOWN, FIRST_WORD + (mixed >> 3) % COMMON_WORDS)

@@ -1,0 +1,56 @@
+"""The result of a study as a table for the terminal."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.table import Column, Table
+
+from giirl.run.evaluate import THESIS
+
+
+def study_table(title: str, result: dict[str, Any]) -> Table:
+    """Success of every variant with its interval over all seeds, then the random baseline and the thesis."""
+    tasks = list(dict.fromkeys(task for found in result["variants"].values() for task in found["tasks"]))
+    table = Table("", Column("seeds", justify="right"), *(Column(task, justify="right") for task in tasks), title=title)
+    for name, found in result["variants"].items():
+        _add_variant(table, tasks, name, found)
+    random = {task: row["random"] for found in result["variants"].values() for task, row in found["tasks"].items()}
+    table.add_row("random", "", *(f"{100 * random[task]:.1f}" for task in tasks))
+    if set(tasks) & set(THESIS):
+        table.add_row("thesis", "", *(f"{100 * THESIS[task]:.0f}" if task in THESIS else "-" for task in tasks))
+    return table
+
+
+def _add_variant(table: Table, tasks: list[str], name: str, found: dict[str, Any]) -> None:
+    cells = [_success(found["tasks"][task]) if task in found["tasks"] else "-" for task in tasks]
+    table.add_row(name, str(len(found["seeds"])), *cells)
+    lowest = [found["lowest_last_third"].get(task) for task in tasks]
+    reached = found["env_steps_to"]["0.95"]
+    table.add_row("  steps until 95 %, median", "", *(_steps(reached.get(task), found) for task in tasks))
+    table.add_row("  lowest in the last third", "", *("-" if low is None else f"{low:.2f}" for low in lowest))
+    if "goal_swap" in found:
+        own, swapped = (found["goal_swap"][key] for key in ("own_goal_top1", "swapped_goal_top1"))
+        table.add_row(f"  goal's button first: {own:.3f}, after a goal swap {swapped:.3f}")
+    if sensitivity := found.get("sensitivity"):
+        cells = [_auc(sensitivity[task]) if task in sensitivity else "-" for task in tasks]
+        table.add_row("  goal sensitivity, AUC, worst seed", "", *cells)
+    if "held_out_goals" in found:
+        table.add_row("  held-out goals", "", *(_success(found["held_out_goals"][task]) for task in tasks))
+
+
+def _success(row: dict[str, Any]) -> str:
+    worst = f", worst {100 * row['worst_seed']:.1f}" if row["worst_seed"] < row["success"] else ""
+    return f"{100 * row['success']:.1f} ({100 * row['low']:.1f} - {100 * row['high']:.1f}{worst})"
+
+
+def _steps(reached: dict[str, Any] | None, variant: dict[str, Any]) -> str:
+    if not reached or not reached["seeds"]:
+        return "-" if reached is None else "never"
+    few = f" ({reached['seeds']} of {len(variant['seeds'])})" if reached["seeds"] < len(variant["seeds"]) else ""
+    return f"{reached['median']:,.0f}{few}"
+
+
+def _auc(row: dict[str, float]) -> str:
+    held_out = f", held out {row['held_out_goals']:.3f}" if "held_out_goals" in row else ""
+    return f"{row.get('trained_goals', row['auc']):.3f}{held_out} (shuffled {row['shuffled']:.2f})"

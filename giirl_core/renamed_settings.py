@@ -1,0 +1,35 @@
+"""Settings that have a new name, for the error message about an old config file."""
+
+from __future__ import annotations
+
+RENAMED = {  # old key: new key
+    "actors.minimum": "actors.min_healthy",
+    "actors.silence_s": "actors.heartbeat_timeout_s",
+    "cloning.final_rate": "cloning.final_lr_fraction",
+    "cloning.jitter": "cloning.position_jitter",
+    "cloning.rename": "cloning.rename_prob",
+    "demos.spoiled": "demos.noise_fraction",
+    "discriminator.chance": "discriminator.random_actions",
+    "discriminator.demo_states": "discriminator.policy_on_expert_states",
+    "discriminator.final_rate": "discriminator.final_lr_fraction",
+    "discriminator.jitter": "discriminator.position_jitter",
+    "discriminator.judges": "discriminator.train_on",
+    "discriminator.rename": "discriminator.rename_prob",
+    "discriminator.slow": "discriminator.lr_schedule",
+    "discriminator.trim": "discriminator.discard_top_fraction",
+    "evaluate.floor_episodes": "evaluate.random_episodes",
+    "grid.chance_episodes": "grid.random_episodes",
+    "grid.whole_map": "grid.full_map",
+    "net.beside": "net.adjacent_elements",
+    "net.neighbours": "net.element_attention",
+    "net.order": "net.word_order",
+    "net.overlap": "net.goal_overlap",
+    "policy.asked": "policy.sampled_actions",
+    "policy.cloning_start": "policy.bc_warmup_updates",
+    "policy.final_rate": "policy.final_lr_fraction",
+    "policy.taken": "policy.vtrace_weight",
+    "policy.value": "policy.value_loss_weight",
+    "soft_q.final_rate": "soft_q.final_lr_fraction",
+    "soft_q.jitter": "soft_q.position_jitter",
+    "soft_q.rename": "soft_q.rename_prob",
+}

@@ -1,0 +1,82 @@
+"""Agents: what they choose, with which probability, and the actions that they sample for the policy update."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from actors.agents import ExpertAgent, PolicyAgent, RandomAgent
+from browser_farm.experts import expert
+from browser_farm.fake import FakeFarm
+from giirl_core.nets.parameters import seal_net
+from giirl_core.types import (
+    EpisodeSpec,
+    Goal,
+    Observation,
+)
+from tests.actors.test_rollouts import episodes
+from tests.learner.samples import SHORT, legal_actions, policy, vectors
+
+
+def test_experts_always_succeed_on_the_fake_tasks() -> None:
+    played = episodes(FakeFarm(tabs=4), ExpertAgent(expert), 40)
+    assert all(episode.outcome.success for episode in played)
+    assert {episode.trajectory.policy_version for episode in played} == {-1}
+
+
+def test_random_agent_chooses_every_legal_action_with_the_probability_it_reports() -> None:
+    goal = Goal("Type ok.")
+    observation = Observation(episode=EpisodeSpec(task="t", seed=0), page=SHORT, goal=goal)
+    uniform = np.random.default_rng(0).random((8000, 1, 3), dtype=np.float32)
+    decisions = RandomAgent().select_actions([observation] * 8000, uniform)
+    counts = Counter(decision.action for decision in decisions)
+    reported = {decision.action: np.exp(decision.logp) for decision in decisions}
+    assert set(counts) == set(legal_actions(SHORT, goal))
+    assert sum(reported.values()) == pytest.approx(1.0)
+    for action, p in reported.items():
+        assert counts[action] / 8000 == pytest.approx(p, abs=0.02)
+
+
+@pytest.mark.parametrize("uniform", [0.0, 1.0 - 2.0**-24])
+def test_random_actions_are_legal_at_both_ends_of_the_unit_interval(uniform: float) -> None:
+    goal = Goal("Type ok.")
+    observation = Observation(episode=EpisodeSpec(task="t", seed=0), page=SHORT, goal=goal)
+    (decision,) = RandomAgent().select_actions([observation], np.full((1, 1, 3), uniform, dtype=np.float32))
+    assert decision.action in legal_actions(SHORT, goal)
+
+
+def test_a_greedy_policy_does_not_depend_on_the_random_numbers() -> None:
+    greedy = PolicyAgent(policy(), vectors(), greedy=True)
+    observations = list(FakeFarm(tabs=1).reset({0: EpisodeSpec(task="click-button", seed=1)}).values())
+    one, two = (
+        greedy.select_actions(observations, np.full((1, 1, 3), uniform, dtype=np.float32)) for uniform in (0.01, 0.99)
+    )
+    assert one == two
+
+
+def test_a_policy_agent_rejects_older_weights_and_reports_its_version() -> None:
+    agent = PolicyAgent(policy(), vectors())
+    agent.load(seal_net(policy(1), 5))
+    with pytest.raises(ValueError, match="version 4, wanted 5 or later"):
+        agent.load(seal_net(policy(2), 4))
+    observations = list(FakeFarm(tabs=1).reset({0: EpisodeSpec(task="click-test", seed=1)}).values())
+    (decision,) = agent.select_actions(observations, np.full((1, 1, 3), 0.5, dtype=np.float32))
+    assert decision.version == 5
+
+
+def test_a_training_agent_samples_actions_for_every_step_and_a_greedy_one_none() -> None:
+    agent = PolicyAgent(policy(), vectors(), sampled_actions=6)
+    for finished in episodes(FakeFarm(tabs=4), agent, 3):
+        sampled = finished.trajectory.sampled
+        assert sampled is not None
+        assert sampled.choices.shape == (len(finished.trajectory), 6, 4)
+        assert not sampled.rewards.any()
+        rewards = np.arange(finished.trajectory.reward_count, dtype=np.float32)
+        scored = finished.trajectory.with_rewards(rewards, 3)
+        assert scored.sampled is not None
+        assert scored.rewards.tolist() == rewards[::7].tolist()
+        assert scored.sampled.rewards[0].tolist() == [1, 2, 3, 4, 5, 6]
+    greedy = episodes(FakeFarm(tabs=4), PolicyAgent(policy(), vectors(), greedy=True), 1)
+    assert all(finished.trajectory.sampled is None for finished in greedy)
