@@ -187,14 +187,20 @@ class _Lookup(torch.autograd.Function):
     def forward(ctx: Any, table: Tensor, codes: Tensor) -> Tensor:
         ctx.save_for_backward(codes)
         ctx.size = table.shape[1]
-        return table.index_select(1, codes.flatten()).unflatten(1, codes.shape)
+        found: Tensor = table.index_select(1, codes.flatten()).unflatten(1, codes.shape)
+        return found
 
     @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:  # type: ignore[override]
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
         (codes,) = ctx.saved_tensors
         flat = codes.flatten()
         parts = [torch.bincount(flat, weights=part.flatten(), minlength=ctx.size) for part in grad]
         return torch.stack(parts).to(grad.dtype), None
+
+
+def _look_up(table: Tensor, codes: Tensor) -> Tensor:
+    found: Tensor = _Lookup.apply(table, codes)  # type: ignore[no-untyped-call]
+    return found
 
 
 class Attention(nn.Module):
@@ -216,7 +222,7 @@ class Attention(nn.Module):
         bias = torch.cat([self.bias, self.bias.new_full((self.heads, 1), MASKED_LOGIT)], dim=1)
         for block, part in zip(batch.blocks, batch.by_block(self.project(x)), strict=True):
             q, k, v = part.unflatten(2, (3, self.heads, -1)).permute(2, 0, 3, 1, 4).unbind(0)
-            relation_bias = _Lookup.apply(bias, block.relations).transpose(0, 1)
+            relation_bias = _look_up(bias, block.relations).transpose(0, 1)
             heads = functional.scaled_dot_product_attention(q, k, v, attn_mask=relation_bias)
             mixed.append(heads.transpose(1, 2).flatten(2).flatten(0, 1))
         return torch.relu(self.out(torch.cat(mixed)))

@@ -154,7 +154,7 @@ def _mark_peers(flags: Floats, page: Page, matches: Matches) -> None:
     if not page.tampered.any():
         return
     leaf = page.leaf
-    matched = matches[:, _PEER_MATCHES].any(axis=1)  # [E, L]
+    matched: NDArray[np.bool_] = np.any(matches[:, _PEER_MATCHES], axis=1)  # [E, L]
 
     def key(e: int) -> tuple[str, str, bytes]:
         return page.tag[e], page.classes[e].split(" ", 1)[0], matched[e].tobytes()

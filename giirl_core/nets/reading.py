@@ -58,8 +58,9 @@ _TAG_WORDS = {  # words that instructions use for elements with these tags
     "textarea": ("textarea",),
 }
 TAG_WORDS = 4  # words for tag and shape, at most
-MONTHS = tuple("january february march april may june july august september october november december".split())
-_COUNTS = tuple("zero one two three four five six seven eight nine ten".split())
+_MONTHS = "january february march april may june july august september october november december"
+MONTHS = tuple(_MONTHS.split())
+_COUNTS = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 _DRAWINGS = frozenset({"shape", "letter", "digit", "rectangle", "circle", "triangle", "item"})
 _SIZES = frozenset({"small", "large"})
 _NAME_PART = re.compile(r"[a-z]+|[A-Z][a-z]*|[^\W\d_]+")

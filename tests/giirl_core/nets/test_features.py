@@ -14,8 +14,9 @@ from torch import Tensor
 from giirl_core.nets.action_batch import ActionBatch, collate_actions
 from giirl_core.nets.augment import rename
 from giirl_core.nets.batch import Batch, collate
-from giirl_core.nets.features import ELEMENT_WORDS, OPEN, POSITION, WORD, WORDS, Features, featurise
+from giirl_core.nets.features import Features, featurise
 from giirl_core.nets.language import FIRST_WORD, PADDING, UNKNOWN, load_vectors
+from giirl_core.nets.layout import ELEMENT_WORDS, OPEN, POSITION, TEXT_RUN, TEXT_WORD, VALUE_RUN, WORD, WORDS
 from giirl_core.nets.models import PolicyNet, RewardNet
 from giirl_core.types import Action, Goal, Page, Verb
 from tests.learner.samples import (
@@ -99,7 +100,7 @@ def test_labels_that_differ_only_in_case_have_different_features() -> None:
 def test_matches_refer_to_exactly_the_goal_words_that_an_element_contains() -> None:
     names = page("button:Ada Lovelace", "input_text", "button:Lovelace Ada", value=("", "Lovelace", ""))
     features = featurise(names, Goal('Enter "Ada Lovelace" here.'), vectors())
-    whole, any_word, value = dense_matches(features)
+    whole, any_word, value = dense_matches(features)[[TEXT_RUN, TEXT_WORD, VALUE_RUN]]
     assert whole.tolist() == [[0, 0, 0.5, 0.5, 0, 0, 0], [0] * 7, [0] * 7]
     assert any_word[2].tolist() == [0, 0, 0.5, 0.5, 0, 0, 0]
     assert value[1].tolist() == [0, 0, 0, 1, 0, 0, 0]
