@@ -12,15 +12,15 @@ from giirl_core.types import Page
 
 MAX_ROWS = 5_000  # recorded pages have at most 127 nodes; Page.parent is int16
 MAX_DEPTH = 100  # recorded pages nest about ten deep; the limit keeps hostile files from overflowing the stack
-SCROLLED_PX = 8.0  # content that begins this far above its container is scrolled
+SCROLLED_PX = 8.0  # the content of a container is scrolled if it begins this far above the container
 MAX_NUMBER = 1e6
 # Elements that are left out with everything in them.
 HIDDEN_TAGS = frozenset({"br", "script", "style", "head", "link", "meta", "title", "template", "noscript"})
 HIDDEN_IDS = frozenset({"query", "reward-display", "sync-task-cover", "click-canvas", "attention-canvas"})
 UNWRAPPED_IDS = frozenset({"wrap", "mturk_form"})  # left out, but their children are rows
 TEXT_TAG = "t"
-CONTROL_TAGS = ("button", "input", "textarea", "select")  # their colour is that of every control
-CLEAR = frozenset({"", "transparent", "rgba(0, 0, 0, 0)"})
+CONTROL_TAGS = ("button", "input", "textarea", "select")  # prefixes of tags that have the browser's own colour
+TRANSPARENT = frozenset({"", "transparent", "rgba(0, 0, 0, 0)"})
 SHAPES = {"polygon": "triangle", "rect": "rectangle", "circle": "circle"}  # recorded pages have no other polygons
 VALUE_TAGS = ("input", "textarea")  # prefixes of tags that show their value instead of text
 
@@ -35,7 +35,7 @@ class Node:
     text: str  # white space collapsed, "" except on leaves
     value: str  # value of a field; "checked" or "" for a checkbox or radio button
     classes: str
-    colour: str  # of the background, "" where it shows none
+    colour: str  # CSS colour of the background, "" if transparent
     box: tuple[float, float, float, float]  # left, top, width, height in CSS px
     focused: bool
     target: bool  # target of the recorded event
@@ -72,17 +72,17 @@ class Screen:
         )
 
     def _unscrolled(self) -> NDArray[np.float32]:
-        """[E, 4] boxes as they are before anybody scrolls: a person scrolls to what is clicked next, a policy does not."""
+        """[E, 4] the boxes before scrolling. A person scrolls to the next target, so scrolled boxes would reveal it."""
         boxes = np.array([node.box for node in self.nodes], dtype=np.float32).reshape(len(self.nodes), 4)
         shift = np.zeros(len(boxes), dtype=np.float32)
-        inside: dict[int, float] = {}  # row -> how far its children are scrolled up
+        scrolled: dict[int, float] = {}  # row -> px by which its children are scrolled up
         for row, parent in enumerate(self.parents):
             if parent < 0:
                 continue
-            if parent not in inside:  # this is its first child
-                inside[parent] = max(0.0, float(boxes[parent, 1] - boxes[row, 1]))
-                inside[parent] = inside[parent] if inside[parent] > SCROLLED_PX else 0.0
-            shift[row] = shift[parent] + inside[parent]
+            if parent not in scrolled:  # `row` is its first child
+                above = float(boxes[parent, 1] - boxes[row, 1])
+                scrolled[parent] = above if above > SCROLLED_PX else 0.0
+            shift[row] = shift[parent] + scrolled[parent]
         boxes[:, 1] += shift
         return boxes
 
@@ -162,9 +162,9 @@ def parse_node(raw: object, where: str, depth: int = 0) -> Node:
         ref=ref,
         text="" if children or tag.lower().startswith(VALUE_TAGS) else " ".join(_text(raw, "text", where).split()),
         value=("checked" if value else "") if isinstance(value, bool) else value,
-        colour=colour if (colour := str(raw.get("bgColor") or "")) not in CLEAR else "",
+        colour=colour if (colour := str(raw.get("bgColor") or "")) not in TRANSPARENT else "",
         # SVG elements have {}.
-        classes="" if isinstance(raw.get("classes"), dict) else _not_pointed_at(_text(raw, "classes", where)),
+        classes="" if isinstance(raw.get("classes"), dict) else _without_hover(_text(raw, "classes", where)),
         box=(
             read_number(raw, "left", where),
             read_number(raw, "top", where),
@@ -198,8 +198,8 @@ def read_number(raw: Mapping[str, object], key: str, where: str, default: object
     return float(value)
 
 
-def _not_pointed_at(classes: str) -> str:
-    """Classes without those of what the mouse is over: the person clicks that next, and a policy has no mouse there."""
+def _without_hover(classes: str) -> str:
+    """The classes without those of elements below the mouse, which would reveal what a person clicks next."""
     names = [name for name in classes.split(" ") if "hover" not in name]
     if "ui-menu-item-wrapper" in names:
         names = [name for name in names if name != "ui-state-active"]
