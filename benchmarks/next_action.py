@@ -1,10 +1,11 @@
-"""Offline accuracy of cloning: does the policy net, cloned from recordings, predict a person's next action on others?
+# ruff: noqa: T201
+"""Offline accuracy of cloning: how often a policy cloned from human recordings predicts the next action in others.
 
     python -m benchmarks.next_action --demos FOLDER --updates 400 --seed 0 --json FILE
 
-One net learns from 24 of every 32 recordings of each task; the other 8 are predicted, step by step, on the pages that the
-person saw. Two accuracies are reported. Strict: the same verb, row and typed text. Lenient: an action that the task
-accepts as well (`accepted`). An episode is right when all its steps are, leniently.
+One net learns from three of every four recordings of each task. The actions of the others are predicted, step by step,
+on the recorded pages. Two accuracies are reported. Strict: the same verb, row and typed text. Lenient: an action that
+the task accepts as well (`accepted`). An episode is correct if all its steps are correct, leniently.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import torch
 from actors.agents import PolicyAgent
 from actors.browser import open_browser
 from actors.rollouts import Schedule, play
+from benchmarks.accepted_actions import accepted, look
 from browser_farm.human.recordings import find_recordings, import_recordings
 from giirl_core.config import CloningConfig, Config
 from giirl_core.metrics import Metrics
@@ -33,25 +35,20 @@ from giirl_core.nets.batch import collate
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.models import PolicyNet
 from giirl_core.nets.parameters import seal_net
-from giirl_core.types import Action, Page, Purpose, Trajectory, Verb
+from giirl_core.types import Action, Purpose, Trajectory, Verb
 from learner.cloning import Cloner
 from learner.data import Example, featurise_trajectory
 
 COLLECTION = "2017-10-16_second-turk"
-EMA = 0.98  # of the weights, for each update
-HELD_OUT = 4  # every fourth recording of a task is predicted, the others are learned from
-# Where the instruction fixes the order of equal elements: what is done later is not right now.
-ORDERED = frozenset({"click-button-sequence", "tic-tac-toe", "choose-date-nodelay", "use-spinner"})
-# Where the person tries sections until the link turns up: any that was not tried yet is as good.
-SEARCHES = frozenset({"click-collapsible-2-nodelay", "click-tab-2", "click-tab-2-hard", "navigate-tree"})
-CONTROLS = frozenset({"a", "button", "label", "li", "td", "h3", "option"})  # clicked as a whole, whatever is inside
+EMA = 0.98  # decay of the moving average of the weights, for each update
+HELD_OUT = 4  # every fourth recording of a task is held out
 
 
 def load(folder: Path, cache: Path | None = None) -> list[Trajectory]:
-    """All clean recordings that the nets can imitate, by task and file name. `cache` is a file outside the repository."""
+    """All successful recordings whose actions the nets can learn. `cache` is a file to keep them in."""
     if cache is not None and cache.exists():
         with cache.open("rb") as file:
-            return pickle.load(file)  # type: ignore[no-any-return]
+            return pickle.load(file)  # type: ignore[no-any-return]  # noqa: S301 - written by this function
     tasks = list(find_recordings(folder, collections=[COLLECTION]))
     episodes, _ = import_recordings(folder, tasks=tasks, collections=[COLLECTION])
     found = [e.trajectory for e in episodes if e.outcome.success and all(a.learnable for a in e.trajectory.actions)]
@@ -61,142 +58,21 @@ def load(folder: Path, cache: Path | None = None) -> list[Trajectory]:
 
 
 def split(trajectories: Sequence[Trajectory]) -> tuple[list[Trajectory], list[Trajectory]]:
-    """To learn from, and held out. Two tasks that share their recordings hold out the same ones."""
+    """The recordings to learn from, and those held out. Tasks that share recordings hold out the same ones."""
     by_task: dict[str, list[Trajectory]] = defaultdict(list)
     for trajectory in trajectories:
         by_task[trajectory.task].append(trajectory)
-    learned, held_out = [], []
+    learned: list[Trajectory] = []
+    held_out: list[Trajectory] = []
     for some in by_task.values():
         for rank, trajectory in enumerate(sorted(some, key=lambda t: t.seed)):
             (held_out if rank % HELD_OUT == HELD_OUT - 1 else learned).append(trajectory)
     return learned, held_out
 
 
-def control(page: Page, row: int) -> int:
-    """The ref of the control that an action on a row operates: its nearest ancestor in CONTROLS, or bare text's parent."""
-    at = row
-    while at >= 0:
-        if page.tag[at] in CONTROLS:
-            return int(page.ref[at])
-        at = int(page.parent[at])
-    parent = int(page.parent[row])
-    return int(page.ref[parent if page.tag[row] == "t" and parent >= 0 else row])
-
-
-def accepted(trajectory: Trajectory, t: int, guess: Action) -> bool:
-    """Whether the task accepts a guess at step t as well as what the person did.
-
-    It is on the same control; or on one with the same tag, classes and (not empty) text; or does what the person did at a
-    later step, to another element of the same tag, where order does not matter; or, in a search, tries another section.
-    """
-    page, done, goal = trajectory.pages[t], trajectory.actions[t], trajectory.goal
-    if guess.verb is not done.verb:
-        return False
-    a, b = guess.element, done.element
-    if control(page, a) == control(page, b) or (_look(page, a) == _look(page, b) and page.text[a]):
-        typed, wanted = guess.text(goal), done.text(goal)
-        longer = (
-            trajectory.task == "book-flight-nodelay"
-            and typed
-            and (typed.startswith(wanted) or wanted.startswith(typed))
-        )
-        return typed == wanted or bool(longer)  # a list offers the same towns for a part of a name
-    if trajectory.task == "click-shape":
-        return _fits_alike(page, a, b, set(goal.tokens))
-    if trajectory.task == "tic-tac-toe":
-        return _as_good(page, a, b)
-    if trajectory.task == "click-widget":
-        return page.tag[a] == page.tag[b]
-    if trajectory.task == "use-autocomplete-nodelay" and "ends" not in goal.tokens:
-        return _look(page, a)[0] == _look(page, b)[0] and page.text[a][:2].lower() == page.text[b][:2].lower()
-    if page.classes[a] == page.classes[b] == "page-link" and page.text[a] == ">":
-        active = [
-            int(t)
-            for t, r in zip(page.text, page.parent, strict=True)
-            if r >= 0 and "active" in page.classes[r] and t.isdigit()
-        ]
-        return page.text[b].isdigit() and bool(active) and int(page.text[b]) > active[0]
-    if page.classes[a].startswith("email-") and page.parent[a] == page.parent[b]:
-        return True  # any part of a message opens it
-    if trajectory.task == "click-pie-nodelay":
-        return _on_sector(page, a, b)
-    if trajectory.task in SEARCHES and t + 1 < len(trajectory):
-        last = trajectory.actions[-1].element
-        found = control(trajectory.pages[-1], last) == control(page, a)  # sooner than the person did
-        closed = page.classes[_parent(page, a)].startswith("expandable")
-        like = page.tag[a] == page.tag[b] and page.tag[_parent(page, a)] == page.tag[_parent(page, b)]
-        return found or (closed if trajectory.task == "navigate-tree" else like)
-    if trajectory.task in ORDERED or page.tag[a] != page.tag[b]:
-        return False
-    return any(
-        later.verb is guess.verb
-        and control(trajectory.pages[s], later.element) == control(page, a)
-        and later.text(goal) == guess.text(goal)
-        for s, later in enumerate(trajectory.actions)
-        if s > t
-    )
-
-
-def _fits_alike(page: Page, a: int, b: int, words: set[str]) -> bool:
-    """Whether two drawings fit the same words of an instruction that names no colour (recordings lack it)."""
-    if words & {"red", "green", "blue", "aqua", "black", "magenta", "yellow"} or not words & {
-        "item",
-        "shape",
-        "letter",
-        "digit",
-    }:
-        return False
-    kinds = [_drawn(page, row) for row in (a, b)]
-    if not words & {"item"} and kinds[0] != kinds[1]:
-        return False
-    sizes = page.box[[a, b], 3]
-    return not words & {"small", "large"} or bool(sizes.min() > 0.7 * sizes.max())
-
-
-def _drawn(page: Page, row: int) -> str:
-    if page.tag[row] != "text":
-        return "shape"
-    return "digit" if page.text[row].isdigit() else "letter"
-
-
-def _as_good(page: Page, a: int, b: int) -> bool:
-    """Whether a move is as good as the person's: it wins if that wins, else blocks if that blocks, else is to a free cell."""
-    cells = [row for row in range(len(page)) if page.tag[row] == "span"]
-    if len(cells) != 9 or a not in cells or b not in cells:
-        return False
-    board = ["x" if "mark-x" in page.classes[c] else "o" if "mark-o" in page.classes[c] else "" for c in cells]
-    lines = [(0, 1, 2), (3, 4, 5), (6, 7, 8), (0, 3, 6), (1, 4, 7), (2, 5, 8), (0, 4, 8), (2, 4, 6)]
-
-    def value(cell: int) -> int:
-        if board[cell]:
-            return -1
-        others = [sorted(board[c] for c in line if c != cell) for line in lines if cell in line]
-        return 2 if ["x", "x"] in others else 1 if ["o", "o"] in others else 0
-
-    return value(cells.index(a)) >= max(0, value(cells.index(b)))
-
-
-def _on_sector(page: Page, a: int, b: int) -> bool:
-    """Whether a label lies on the sector that the person clicked, or the other way round."""
-    if {page.tag[a], page.tag[b]} != {"path", "tspan"}:
-        return False
-    sector, label = (a, b) if page.tag[a] == "path" else (b, a)
-    left, top, width, height = page.box[sector]
-    x, y = page.box[label, :2] + page.box[label, 2:] / 2
-    return bool(left <= x <= left + width and top <= y <= top + height)
-
-
-def _parent(page: Page, row: int) -> int:
-    return max(0, int(page.parent[row]))
-
-
-def _look(page: Page, row: int) -> tuple[str, ...]:
-    return page.tag[row], page.text[row], page.value[row], page.classes[row]
-
-
 @torch.no_grad()
 def predict(net: PolicyNet, examples: Sequence[Example], pages: int = 64) -> list[list[Action]]:
-    """The likeliest action at every step of every example."""
+    """The greedy action at every step of every example."""
     net.eval()
     rows = [row for example in examples for row in example.features]
     guesses: list[Action] = []
@@ -211,7 +87,7 @@ def predict(net: PolicyNet, examples: Sequence[Example], pages: int = 64) -> lis
 
 
 def score(examples: Sequence[Example], guesses: Sequence[Sequence[Action]]) -> dict[str, dict[str, float]]:
-    """For each task: strict and lenient accuracy per step, and the share of episodes that are right."""
+    """For each task: strict and lenient accuracy per step, and the fraction of correct episodes."""
     counts: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
     for example, some in zip(examples, guesses, strict=True):
         trajectory = example.trajectory
@@ -228,7 +104,7 @@ def score(examples: Sequence[Example], guesses: Sequence[Sequence[Action]]) -> d
 
 
 def mean(scores: dict[str, dict[str, float]]) -> dict[str, float]:
-    """Over tasks."""
+    """The mean over tasks."""
     return {
         name: round(float(np.mean([s[name] for s in scores.values()])), 4) for name in ("strict", "lenient", "episode")
     }
@@ -237,7 +113,7 @@ def mean(scores: dict[str, dict[str, float]]) -> dict[str, float]:
 def train(
     config: Config, learned: Sequence[Example], updates: int, batch: int, seed: int, report: Any = None
 ) -> tuple[PolicyNet, PolicyNet, float]:
-    """A cloned net, the running mean of its weights, and the CPU-milliseconds a step of training."""
+    """A cloned net, the same with averaged weights, and the CPU time of training per step in ms."""
     torch.manual_seed(seed)
     generator, rng = torch.Generator().manual_seed(seed), np.random.default_rng(seed)
     net = PolicyNet(load_vectors(config.net.vectors), config.net)
@@ -329,7 +205,7 @@ def main() -> None:
 
 
 def play_tasks(config: Config, net: PolicyNet, tasks: Sequence[str], episodes: int) -> dict[str, float]:
-    """For each task the share of fresh pages on which the likeliest actions succeed, in Chrome."""
+    """For each task the success rate of greedy actions in Chrome on new pages."""
     config = replace(config, tasks=tuple(tasks), step_limit=25)
     net.eval()
     agent = PolicyAgent(net, load_vectors(config.net.vectors), greedy=True)
@@ -349,7 +225,7 @@ def play_tasks(config: Config, net: PolicyNet, tasks: Sequence[str], episodes: i
 def print_mistakes(
     examples: Sequence[Example], guesses: Sequence[Sequence[Action]], tasks: Sequence[str], most: int
 ) -> None:
-    """Some wrong guesses of some tasks, as lines."""
+    """Print wrong predictions of some tasks."""
     shown: dict[str, int] = defaultdict(int)
     for example, some in zip(examples, guesses, strict=True):
         trajectory = example.trajectory
@@ -363,7 +239,7 @@ def print_mistakes(
             print(f"{trajectory.task} step {t}: {trajectory.goal.utterance[:150]}")
             for name, action in (("wanted", done), ("got", guess)):
                 row = action.element
-                print(f"   {name}: {Verb(action.verb).name} {row} {_look(page, row)} {action.text(trajectory.goal)!r}")
+                print(f"   {name}: {Verb(action.verb).name} {row} {look(page, row)} {action.text(trajectory.goal)!r}")
 
 
 if __name__ == "__main__":

@@ -83,7 +83,7 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
     _compare_month(flags, read, text)
     _compare_drawings(flags, page, read, text)
     _mark_peers(flags, page, matches)
-    by_kind = matches.any(axis=0)  # [MATCH_KINDS, L]
+    by_kind: NDArray[np.bool_] = np.any(matches, axis=0)  # [MATCH_KINDS, L]
     token_flags = text.flags.copy()
     token_flags[:, ON_PAGE], token_flags[:, IN_VALUE] = by_kind[TEXT_WORD], by_kind[VALUE_RUN]
     token_flags[:, TOKEN_MATCHES] = by_kind[_TOKEN_MATCHES].T

@@ -29,6 +29,7 @@ from giirl_core.nets.layout import (
 )
 from giirl_core.types import TOKEN, Action, Goal, Page, Verb
 
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Features:
     """One page under one goal as dense tables: L goal tokens, E elements."""
