@@ -45,8 +45,9 @@ def match(read: PageFeatures, goal: GoalText, flags: Floats) -> Matches:
     _match_words(matches[:, TEXT_WORD], read.hashes, goal)
     _match_words(matches[:, KIND_WORD], read.kinds, goal)
     rows = np.flatnonzero(matches[:, TEXT_WORD].any(axis=1))
-    flags[rows, WORD_FRACTION] = matches[rows[:, None], TEXT_WORD, goal.distinct].sum(axis=1) / read.distinct[rows]
     for e in rows.tolist():
+        distinct = {*read.word_hashes[e].tolist()} - {0}
+        flags[e, WORD_FRACTION] = matches[e, TEXT_WORD, goal.distinct].sum() / len(distinct)
         _match_run(matches[e, TEXT_RUN], goal, read.texts[e])
         flags[e, TEXT_FOLDED] = any(True for _ in occurrences(goal.folded, read.texts[e].folded))
     for e, text in read.values.items():

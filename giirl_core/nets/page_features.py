@@ -91,7 +91,7 @@ class PageFeatures:
     structure: Structure
     hashes: Words  # of the words of elements, in lower case
     kinds: Words  # of the words for their kinds
-    distinct: NDArray[np.int64]  # [E] number of distinct words
+    word_hashes: Hashes  # [E, WORDS] the same as a table, 0 after the last word
     vectors: Words  # rows of `units` of the words of elements; the words of its label for a field without text
     units: Floats  # [U, D] unit vectors of all words of the page
     number: Floats  # [E] the number that the text or value is, nan for none
@@ -143,7 +143,7 @@ def _page_features(
     ids = np.zeros((count, ELEMENT_IDS), dtype=np.int32)
     ids[:, ELEMENT_WORDS] = word_rows
     if count:
-        ids[:, ELEMENT_KIND] = [kind.rows for kind in kinds]
+        ids[:, ELEMENT_KIND] = np.concatenate([kind.rows for kind in kinds]).reshape(count, KIND_WORDS)
         ids[:, TAG] = [kind.tag for kind in kinds]
         ids[:, CLASS] = [kind.classes for kind in kinds]
     ids[:, CLICKABLE], ids[:, TYPABLE] = page.leaf, page.typable
@@ -159,7 +159,7 @@ def _page_features(
         structure=structure,
         hashes=Words.of(hashes),
         kinds=Words.of(kind_hashes),
-        distinct=np.array([len({*row} - {0}) for row in hashes.tolist()], dtype=np.int64),
+        word_hashes=hashes,
         vectors=Words.of(index),
         units=units[1:] if PADDING in unique[:1] else units,
         number=number,
@@ -170,13 +170,14 @@ def _page_features(
 
 
 def _stack(parts: Sequence[NDArray[np.int64]], width: int) -> NDArray[np.int64]:
-    return np.stack(parts) if parts else np.zeros((0, width), dtype=np.int64)
+    """[len(parts), width]; faster than np.stack."""
+    return np.concatenate(parts).reshape(-1, width) if parts else np.zeros((0, width), dtype=np.int64)
 
 
 def _words(texts: Sequence[Text], values: dict[int, Text]) -> tuple[Hashes, Ids]:
     """[E, WORDS] hashes, and rows of the word vectors, of the words of each element: its text, then its value."""
     hashes = _stack([text.hashes for text in texts], WORDS)
-    rows = np.stack([text.rows for text in texts]) if texts else np.zeros((0, WORDS), dtype=np.int32)
+    rows = np.concatenate([np.zeros(0, dtype=np.int32), *(text.rows for text in texts)]).reshape(-1, WORDS)
     for e, value in values.items():
         used = min(len(texts[e].exact), WORDS)
         hashes[e, used:], rows[e, used:] = value.hashes[: WORDS - used], value.rows[: WORDS - used]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,22 +50,31 @@ class Structure:
 
 
 def structure_of(page: Page) -> Structure:
-    """The relations of the elements of a page."""
-    parents = page.parent.tolist()
-    kinds = [(tag, classes.split(" ", 1)[0]) for tag, classes in zip(page.tag, page.classes, strict=True)]
+    """The relations of the elements of a page, from the cache if only values or words of texts differ."""
+    kinds = tuple([(tag, classes.partition(" ")[0]) for tag, classes in zip(page.tag, page.classes, strict=True)])
+    has_text = tuple([text != "" for text in page.text])
+    return _structure(kinds, has_text, page.parent.astype(np.int16).tobytes(), page.box.astype(np.float32).tobytes())
+
+
+@functools.lru_cache(maxsize=1 << 10)
+def _structure(
+    kinds: tuple[tuple[str, str], ...], has_text: tuple[bool, ...], parent: bytes, box: bytes
+) -> Structure:
+    """The structure of a page from the tag and first class of each element, its parent and box."""
+    parents = np.frombuffer(parent, dtype=np.int16).tolist()
     siblings: dict[tuple[int, tuple[str, str]], int] = {}
     counts: dict[tuple[str, str], int] = {}
     ranks = []
-    for parent, kind in zip(parents, kinds, strict=True):
-        siblings[parent, kind] = siblings.get((parent, kind), 0) + 1
+    for at, kind in zip(parents, kinds, strict=True):
+        siblings[at, kind] = siblings.get((at, kind), 0) + 1
         counts[kind] = counts.get(kind, 0) + 1
         ranks.append(counts[kind])
     group: list[int] = []
-    for parent in parents:
-        repeated = parent >= 0 and siblings[parents[parent], kinds[parent]] > 1
-        group.append(parent if repeated else group[parent] if parent >= 0 else NONE)
-    tree, steps = _tree(page.parent.astype(np.int16).tobytes())
-    left, top, width, height = page.box.astype(np.float32).T
+    for at in parents:
+        repeated = at >= 0 and siblings[parents[at], kinds[at]] > 1
+        group.append(at if repeated else group[at] if at >= 0 else NONE)
+    tree, steps = _tree(parent)
+    left, top, width, height = np.frombuffer(box, dtype=np.float32).reshape(-1, 4).T
     x, y = left + width / 2, top + height / 2
     right, down = x - x[:, None], y - y[:, None]  # from the row to the column
     wide, high = (width + width[:, None]) / 2, (height + height[:, None]) / 2
@@ -78,7 +88,7 @@ def structure_of(page: Page) -> Structure:
     screen[slanted & falling], screen[slanted & ~falling] = _FALLING, _RISING
     return Structure(
         relations=tree + screen,
-        label=_labels(page, steps, horizontal - wide, vertical - high, down),
+        label=_labels([tag for tag, _ in kinds], has_text, steps, horizontal - wide, vertical - high, down),
         group=np.array(group, dtype=np.int64),
         rank=np.array(ranks, dtype=np.int64),
         alike=np.array([counts[kind] for kind in kinds], dtype=np.int64),
@@ -109,16 +119,17 @@ def _tree(parents: bytes) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
 
 
 def _labels(
-    page: Page,
+    tags: Sequence[str],
+    has_text: Sequence[bool],
     steps: NDArray[np.uint8],
     horizontal_gap: NDArray[np.float32],
     vertical_gap: NDArray[np.float32],
     down: NDArray[np.float32],
 ) -> NDArray[np.int64]:
     """[E] for each field the text with the fewest steps in the tree; of several, the nearest one on the screen."""
-    label = np.full(len(page), NONE, dtype=np.int64)
-    fields = [row for row, tag in enumerate(page.tag) if tag.startswith(_FIELDS) and tag != "input_submit"]
-    texts = [row for row, text in enumerate(page.text) if text and page.tag[row] not in _NO_LABELS]
+    label = np.full(len(tags), NONE, dtype=np.int64)
+    fields = [row for row, tag in enumerate(tags) if tag.startswith(_FIELDS) and tag != "input_submit"]
+    texts = [row for row, shown in enumerate(has_text) if shown and tags[row] not in _NO_LABELS]
     if not fields or not texts:
         return label
     some = np.ix_(fields, texts)
