@@ -51,7 +51,7 @@ const reading = (() => {
     const values = [];
     for (const name of ['id', 'placeholder', 'alt', 'aria-label']) {
       const value = node.getAttribute(name);
-      if (value) values.push(flat(value));
+      if (value) values.push(collapse(value));
     }
     return values.join(' ');
   }

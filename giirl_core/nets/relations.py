@@ -74,7 +74,8 @@ def _structure(
         repeated = at >= 0 and siblings[parents[at], kinds[at]] > 1
         group.append(at if repeated else group[at] if at >= 0 else NONE)
     tree, steps = _tree(parent)
-    left, top, width, height = np.frombuffer(box, dtype=np.float32).reshape(-1, 4).T
+    boxes: NDArray[np.float32] = np.frombuffer(box, dtype=np.float32).reshape(-1, 4)
+    left, top, width, height = boxes.T
     x, y = left + width / 2, top + height / 2
     right, down = x - x[:, None], y - y[:, None]  # from the row to the column
     wide, high = (width + width[:, None]) / 2, (height + height[:, None]) / 2
