@@ -57,9 +57,7 @@ def structure_of(page: Page) -> Structure:
 
 
 @functools.lru_cache(maxsize=1 << 10)
-def _structure(
-    kinds: tuple[tuple[str, str], ...], has_text: tuple[bool, ...], parent: bytes, box: bytes
-) -> Structure:
+def _structure(kinds: tuple[tuple[str, str], ...], has_text: tuple[bool, ...], parent: bytes, box: bytes) -> Structure:
     """The structure of a page from the tag and first class of each element, its parent and box."""
     parents = np.frombuffer(parent, dtype=np.int16).tolist()
     siblings: dict[tuple[int, tuple[str, str]], int] = {}
