@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import copy
 import json
-import pickle
 import time
 from collections import defaultdict
 from collections.abc import Sequence
@@ -44,17 +43,11 @@ EMA = 0.98  # decay of the moving average of the weights, for each update
 HELD_OUT = 4  # every fourth recording of a task is held out
 
 
-def load(folder: Path, cache: Path | None = None) -> list[Trajectory]:
-    """All successful recordings whose actions the nets can learn. `cache` is a file to keep them in."""
-    if cache is not None and cache.exists():
-        with cache.open("rb") as file:
-            return pickle.load(file)  # type: ignore[no-any-return]  # noqa: S301 - written by this function
+def load(folder: Path) -> list[Trajectory]:
+    """All successful recordings whose actions the nets can learn."""
     tasks = list(find_recordings(folder, collections=[COLLECTION]))
     episodes, _ = import_recordings(folder, tasks=tasks, collections=[COLLECTION])
-    found = [e.trajectory for e in episodes if e.outcome.success and all(a.learnable for a in e.trajectory.actions)]
-    if cache is not None:
-        cache.write_bytes(pickle.dumps(found))
-    return found
+    return [e.trajectory for e in episodes if e.outcome.success and all(a.learnable for a in e.trajectory.actions)]
 
 
 def split(trajectories: Sequence[Trajectory]) -> tuple[list[Trajectory], list[Trajectory]]:
@@ -152,7 +145,6 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=CloningConfig().learning_rate)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--tasks", nargs="*", help="only these")
-    parser.add_argument("--cache", type=Path, help="keep the imported recordings in this file")
     parser.add_argument("--play", type=int, default=0, help="also play this many pages of each task in Chrome")
     parser.add_argument("--weights", type=Path, help="keep the net in this file")
     parser.add_argument("--json", type=Path)
@@ -161,9 +153,7 @@ def main() -> None:
     torch.set_num_threads(1)
     config = replace(Config(), cloning=CloningConfig(learning_rate=options.rate))
     began = time.process_time()
-    learned, held_out = split(
-        [t for t in load(options.demos, options.cache) if not options.tasks or t.task in options.tasks]
-    )
+    learned, held_out = split([t for t in load(options.demos) if not options.tasks or t.task in options.tasks])
     vectors = load_vectors(config.net.vectors)
     examples = [featurise_trajectory(t, vectors) for t in learned]
     tested = [featurise_trajectory(t, vectors) for t in held_out]

@@ -234,8 +234,7 @@ def _lookup_strings(name: str, columns: Mapping[str, Column], strings: Sequence[
     indices = columns[name]
     if len(indices) and int(indices.max()) >= len(strings):
         raise ValueError(f"column {name!r} holds string index {int(indices.max())}, there are {len(strings)} strings")
-    table = np.empty(len(strings), dtype=object)
-    table[:] = strings
+    table = np.array(strings, dtype=object)
     return tuple(table[indices].tolist())
 
 

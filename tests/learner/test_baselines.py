@@ -15,6 +15,7 @@ from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
 from giirl_core.nets.augment import rename
 from giirl_core.nets.batch import Batch
+from giirl_core.nets.layout import ELEMENT_OVERLAP, TOKEN_OVERLAP
 from giirl_core.nets.models import PolicyNet
 from giirl_core.nets.reward import RewardModel, episode_rewards
 from giirl_core.types import Action, Goal, Verb
@@ -213,12 +214,11 @@ def test_without_goal_overlap_the_encoding_does_not_depend_on_common_words() -> 
     for overlap, same in ((True, False), (False, True)):
         torch.manual_seed(0)
         net = PolicyNet(vectors(), NetConfig(width=16, goal_overlap=overlap))
-        without = replace(
-            batch,
-            match_weight=torch.zeros_like(batch.match_weight),
-            token_flags=batch.token_flags * torch.tensor([1, 1, 1, 0, 0, 1.0]),
-            element_flags=batch.element_flags * torch.tensor([1.0] * 10 + [0.0] * 6),
-        )
+        tokens, elements = batch.token_flags.clone(), batch.element_flags.clone()
+        tokens[:, TOKEN_OVERLAP] = 0.0
+        elements[:, ELEMENT_OVERLAP] = 0.0
+        none = torch.zeros_like(batch.match_weight)
+        without = replace(batch, match_weight=none, token_flags=tokens, element_flags=elements)
         assert torch.equal(net.encoder(batch).elements, net.encoder(without).elements) is same
 
 
@@ -232,7 +232,8 @@ def test_without_word_order_the_encoding_does_not_depend_on_it() -> None:
 
 
 def test_without_attention_an_element_is_encoded_independently_of_the_others() -> None:
-    pages = page("button:Ok"), page("button:Ok", "div:x")
+    # The size of an element is relative to the largest one.
+    pages = [replace(each, box=np.ones_like(each.box)) for each in (page("button:Ok"), page("button:Ok", "div:x"))]
     for attention, same in ((True, False), (False, True)):
         torch.manual_seed(0)
         encoder = PolicyNet(vectors(), NetConfig(width=16, element_attention=attention)).encoder

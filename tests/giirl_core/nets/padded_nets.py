@@ -12,18 +12,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from giirl_core.config import NetConfig
+from giirl_core.nets import layout
 from giirl_core.nets.language import PADDING, Vectors
-from giirl_core.nets.layout import (
-    CLASSES,
-    ELEMENT_FLAGS,
-    HEIGHT_PX,
-    MATCH_KINDS,
-    POSITION,
-    RELATIONS,
-    TAGS,
-    TOKEN_FLAGS,
-    WIDTH_PX,
-)
 from giirl_core.types import LEARNABLE_VERBS, NO_SPAN, Verb
 from tests.giirl_core.nets.padded_features import ActionBatch, Batch, without_overlap
 
@@ -52,12 +42,12 @@ class Encoder(nn.Module):
         self.config, width = config, config.width
         self.register_buffer("table", torch.from_numpy(vectors.table), persistent=False)
         words = self.table.shape[1]
-        self.token_in = nn.Linear(words + TOKEN_FLAGS, width)
+        self.token_in = nn.Linear(words + layout.TOKEN_FLAGS, width)
         self.token_conv = nn.ModuleList(nn.Linear(3 * width, width) for _ in range(2))
-        self.tag = nn.Embedding(TAGS, 16)
-        self.classes = nn.Embedding(CLASSES, 8, padding_idx=0)
-        self.element_in = nn.Linear(2 * words + 16 + 8 + ELEMENT_FLAGS, width)
-        self.match_in = nn.Linear(width, MATCH_KINDS * width, bias=False)
+        self.tag = nn.Embedding(layout.TAGS, 16)
+        self.classes = nn.Embedding(layout.CLASSES, 8, padding_idx=0)
+        self.element_in = nn.Linear(2 * words + 16 + 8 + layout.ELEMENT_FLAGS, width)
+        self.match_in = nn.Linear(width, layout.MATCH_KINDS * width, bias=False)
         self.goal_query = nn.Linear(width, width)
         self.goal_out = nn.Linear(2 * width, width)
         self.attention = Attention(width)
@@ -92,7 +82,7 @@ class Encoder(nn.Module):
     def _encode_page(self, batch: Batch, tokens: Tensor) -> Tensor:
         """[B, E, D] the elements, with the goal tokens they match, attention to the goal, and the other elements."""
         text, kind = self._mean_words(batch.element_words), self._mean_words(batch.element_kind)
-        weight = self.match_in.weight.unflatten(0, (MATCH_KINDS, -1))
+        weight = self.match_in.weight.unflatten(0, (layout.MATCH_KINDS, -1))
         matching = torch.einsum("bkel,bld,kcd->bec", batch.matches, tokens, weight)
         classes = self.classes(batch.element_classes).sum(2)
         parts = [text, kind, self.tag(batch.element_tag), classes, batch.element_flags]
@@ -117,7 +107,9 @@ class Encoder(nn.Module):
 
 def adjacency(batch: Batch) -> Tensor:
     """[B, E, E] the weights of each element over the other leaves of its page, by distance in pixels; 0 for others."""
-    box = batch.element_flags[:, :, POSITION] * torch.tensor([WIDTH_PX, HEIGHT_PX, WIDTH_PX, HEIGHT_PX])
+    box = batch.element_flags[:, :, layout.POSITION] * torch.tensor(
+        [layout.WIDTH_PX, layout.HEIGHT_PX, layout.WIDTH_PX, layout.HEIGHT_PX]
+    )
     size = box[:, :, 2:]
     centre = box[:, :, :2] + size / 2
     gap = (centre[:, :, None] - centre[:, None]).abs() - (size[:, :, None] + size[:, None]) / 2
@@ -135,7 +127,7 @@ class Attention(nn.Module):
         self.heads = heads
         self.project = nn.Linear(width, 3 * width)
         self.out = nn.Linear(width, width)
-        self.bias = nn.Parameter(torch.zeros(heads, RELATIONS))
+        self.bias = nn.Parameter(torch.zeros(heads, layout.RELATIONS))
 
     def forward(self, x: Tensor, batch: Batch) -> Tensor:
         size, count, width = x.shape
