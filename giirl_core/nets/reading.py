@@ -192,7 +192,7 @@ def read_goal(goal: Goal, vectors: Vectors) -> GoalText:
 
 def unit_vectors(rows: NDArray[np.int32], vectors: Vectors) -> Floats:
     """[..., D] centred word vectors of length 1; 0 for rows without a word."""
-    table = vectors.table[rows] - _centre(vectors)
+    table = np.asarray(vectors.table)[rows] - _centre(vectors)  # indexing a memory map is slower
     norm = np.linalg.norm(table, axis=-1, keepdims=True)
     units: Floats = ((rows >= FIRST_WORD)[..., None] * table / np.maximum(norm, 1e-6)).astype(np.float32)
     return units
