@@ -130,7 +130,7 @@ def play(
         for tab, observation in (browser.reset(starting) if starting else {}).items():
             slots[tab] = _open(observation, schedule, tab)
         if slots:
-            yield from _play_round(browser, agent, schedule, slots, waiting_tabs, step_limit, metrics, gate)
+            yield _play_round(browser, agent, schedule, slots, waiting_tabs, step_limit, metrics, gate)
         elif waiting_tabs:
             yield []
         if not slots and not waiting_tabs:  # episodes lost in the last round are played again
@@ -148,8 +148,8 @@ def _play_round(
     step_limit: int,
     metrics: Metrics,
     gate: Gate,
-) -> Iterator[list[Episode]]:
-    """One step of every tab. Yields the episodes that ended, and moves tabs between `slots` and `waiting_tabs`."""
+) -> list[Episode]:
+    """One step of every tab. Returns the episodes that ended, and moves tabs between `slots` and `waiting_tabs`."""
     may_follow = gate(len(slots)) - len(waiting_tabs)  # idle tabs come first
     commands = _commands(slots, agent, step_limit, may_follow)
     with waiting(metrics, "browser"):
@@ -176,7 +176,7 @@ def _play_round(
             slots[tab] = _open(result.observation, schedule, tab)
         elif slot.following is not None and commands[tab].following is None:
             waiting_tabs[tab] = slot.following
-    yield ended
+    return ended
 
 
 def play_pages(

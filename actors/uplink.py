@@ -21,6 +21,7 @@ from giirl_core.wire.transport import Dealer, Keys
 LOG = logging.getLogger(__name__)
 RECEIVE_S = 0.02  # longest wait for a message in `flush` and `wait_committed`
 RETRY_S = 0.02  # between attempts to send while there is no connection
+MAX_NOTICE_BACKOFF = 8  # longest interval between two notices to a learner that does not answer, in normal intervals
 
 
 class Refused(RuntimeError):
@@ -153,7 +154,8 @@ class Uplink:
     def _start_session(self) -> None:
         """Begin again with a learner that does not know this actor; its acknowledgements are unknown, too."""
         self._registered, self._send_limit = False, 0
-        self._session_start = self._notices  # grants that answer earlier notices belong to another session
+        # Grants that answer earlier notices belong to another session.
+        self._session_start = self._answered_notice = self._notices
         self._notice_sent_s = self._sent_s = self._retry_at_s = float("-inf")
         kept = sorted({**self._acked, **self._unacked}.items())
         self._acked.clear()
@@ -190,6 +192,7 @@ class Uplink:
 
     def _apply(self, grant: Grant) -> None:
         self._registered, self._send_limit = True, grant.limit
+        self._answered_notice = grant.notice
         acked = set(grant.acked)
         for sequence, episode in list(self._unacked.items()):
             if sequence < grant.low_watermark or sequence in acked:
@@ -213,10 +216,11 @@ class Uplink:
         if now_s < self._retry_at_s:
             return
         in_flight = any(episode.sent_after is not None for episode in self._unacked.values())
+        backoff = self._notice_backoff
         if not self._registered:
-            if now_s - self._notice_sent_s >= self._limits.hello_s:
+            if now_s - self._notice_sent_s >= self._limits.hello_s * backoff:
                 self._send_notice(delivery.HELLO)
-        elif now_s - (self._notice_sent_s if in_flight else self._sent_s) >= self._limits.heartbeat_s:
+        elif now_s - (self._notice_sent_s if in_flight else self._sent_s) >= self._limits.heartbeat_s * backoff:
             self._send_notice(delivery.HEARTBEAT)
         for sequence, episode in self._unacked.items():
             if sequence >= self._send_limit:
@@ -225,6 +229,16 @@ class Uplink:
                 if not self._dealer.send(episode.message):
                     break
                 episode.sent_after, self._sent_s = self._notices, now_s
+
+    @property
+    def _notice_backoff(self) -> int:
+        """Factor of the interval between notices: 1, and twice as much for each further unanswered notice.
+
+        Episodes are limited by credits, but notices are not. At a constant rate those of all actors would pile up in
+        the queue of a learner that is slow or stalled.
+        """
+        unanswered = self._notices - self._answered_notice
+        return min(1 << max(0, min(unanswered, MAX_NOTICE_BACKOFF) - 1), MAX_NOTICE_BACKOFF)
 
     def _send_notice(self, kind: str) -> None:
         notice = Notice(
@@ -242,6 +256,7 @@ class Uplink:
             self._notice_sent_s = self._sent_s = now_s
         else:
             self._retry_at_s = now_s + RETRY_S
+            self._answered_notice = self._notices  # the connection is lost, and with it the answers
 
     def _wait_until_empty(self, episodes: dict[int, _Kept], timeout_s: float) -> bool:
         deadline_s = time.monotonic() + timeout_s

@@ -66,7 +66,7 @@ def measure(times: int, display: Display) -> dict[str, Any]:
         job = stack.enter_context(display.job("kills", 3 * times))
         with Command("train", *SETTINGS, f"run={run}", env=env) as learner:
             learner.until(lambda: step(run) > 10, "first checkpoint", timeout_s=TIMEOUT_S)
-            counts = head.temporary / "giirl" / (run / "identity").read_text() / "actor-0.tally"
+            counts = head.temporary / "giirl" / (run / "identity").read_text() / "actor-0.count"
             for _ in range(times):
                 before, (actor,) = last_incarnation(counts)[0], find(head, "ray::ActorProcess")
                 killed_s = kill(actor)

@@ -20,6 +20,7 @@ Seconds = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Weight = Annotated[float, Field(ge=0)]
 PositiveFloat = Annotated[float, Field(gt=0)]
+RewardForm = Literal["logit", "d", "log_d", "gail", "goal"]  # giirl_core/nets/reward.py has the formulas
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -123,7 +124,7 @@ class DiscriminatorConfig:
     samples. Only their proportions matter. Plain Algorithm 1 has `rollouts` alone.
     """
 
-    reward: Literal["logit", "d", "log_d", "gail", "goal"] = "logit"
+    reward: RewardForm = "logit"
     """How the logit becomes a reward; the forms are in docs/algorithms.md."""
     form: Literal["plain", "airl"] = "plain"
     """What the discriminator is: sigmoid of a net, or AIRL's e^f / (e^f + pi) with the reward f (Fu et al. 2018)."""

@@ -1,4 +1,4 @@
-"""The value types that all packages share: episodes, pages, observations, commands, trajectories, weights."""
+"""The value types that all packages share: episodes, pages, observations, commands, trajectories."""
 
 from __future__ import annotations
 

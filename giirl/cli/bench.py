@@ -9,8 +9,7 @@ from typing import Any
 import click
 from rich.table import Table
 
-from giirl.cli.options import JSON
-from giirl_core.files import write_json
+from giirl.cli.options import JSON, save_json
 from giirl_core.progress import Display
 
 TRANSPORT = {  # command: help. The functions are `benchmarks.transport.BENCHES`, under the same names.
@@ -53,8 +52,7 @@ def farm(tasks: tuple[str, ...], rounds: int, seconds: float, json_file: Path | 
     display.table(table)
     for name, value in found["memory"].items():
         click.echo(f"{name}: {value}")
-    if json_file is not None:
-        write_json(json_file, found)
+    save_json(json_file, found)
 
 
 @bench.command()
@@ -85,8 +83,7 @@ def _report(found: dict[str, Any], json_file: Path | None) -> None:
     for group, values in found.items():
         for name, value in values.items() if isinstance(values, dict) else [("", values)]:
             click.echo(f"{group}.{name} = {value}" if name else f"{group} = {value}")
-    if json_file is not None:
-        write_json(json_file, found)
+    save_json(json_file, found)
 
 
 def _transport_command(name: str) -> click.Command:
@@ -100,8 +97,7 @@ def _transport_command(name: str) -> click.Command:
             found: dict[str, Any] = BENCHES[name]()
         for key, value in found.items():
             display.say(f"{name}.{key} = {value}")
-        if json_file is not None:
-            write_json(json_file, {name: found, "load_average": round(os.getloadavg()[0], 1)})
+        save_json(json_file, {name: found, "load_average": round(os.getloadavg()[0], 1)})
 
     return command
 

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import click
 
-from giirl.cli.options import JSON, OUT, SEED, TASKS
+from giirl.cli.options import JSON, OUT, SEED, TASKS, save_json
 from giirl.run.demo_stats import stats_table
 from giirl_core.config import DEFAULT_TASKS
 from giirl_core.config_file import load_config
-from giirl_core.files import write_json
 from giirl_core.progress import Display
 from giirl_core.types import Episode
 from giirl_core.wire.messages import read_episodes, write_episodes
@@ -56,8 +55,7 @@ def experts(tasks: tuple[str, ...], episodes: int, seed: int, json_file: Path | 
     rows = read_rows(json_file, episodes, seed) if resume and json_file is not None else {}
     result = {"episodes": episodes, "seed": seed, "tasks": rows}
     for result in measure(config, episodes, Metrics(), Display(), rows):
-        if json_file is not None:
-            write_json(json_file, result)
+        save_json(json_file, result)
     Display().table(experts_table(result))
 
 
@@ -102,8 +100,7 @@ def import_(
     for line in report.lines():
         click.echo(line)
     _save(out, episodes, wanted=None)
-    if json_file is not None:
-        write_json(json_file, report.summary())
+    save_json(json_file, report.summary())
 
 
 @demos.command()

@@ -15,7 +15,7 @@ from rich.table import Column, Table
 from giirl.cli.actors import actors
 from giirl.cli.bench import bench
 from giirl.cli.demos import demos
-from giirl.cli.options import JSON, RUN
+from giirl.cli.options import JSON, RUN, save_json
 from giirl.cli.report import report
 from giirl.cli.reproduce import reproduce
 from giirl.cli.reproduce_web import commands
@@ -25,7 +25,7 @@ from giirl.run.folder import RunFolder
 from giirl.run.worlds import world_of
 from giirl_core.config import Config
 from giirl_core.config_file import changed, dump_config, load_config
-from giirl_core.files import folder_lock, write_json
+from giirl_core.files import folder_lock
 from giirl_core.progress import Display
 
 CONFIG = click.argument("config", required=False)
@@ -110,8 +110,7 @@ def train(
     except Stopped:
         display.say(f"stopped and saved; to resume: giirl train --resume {folder.path}")
         sys.exit(130)
-    if json_file is not None:
-        write_json(json_file, result)
+    save_json(json_file, result)
     display.table(world_of(settings).table(result))
     display.say(f"{result['env_steps']} environment steps, {result['seconds']:.0f} s; results in {folder.path}")
 
@@ -126,8 +125,7 @@ def evaluate(run: Path, overrides: tuple[str, ...], json_file: Path | None) -> N
 
     _, config = RunFolder.open(run)
     result = evaluate(run, overrides, Display())
-    if json_file is not None:
-        write_json(json_file, result)
+    save_json(json_file, result)
     Display().table(world_of(config).table(result))
 
 
@@ -146,7 +144,8 @@ def _resumed_config(folder: RunFolder, config: Config, path: Path | None, change
     fixed = [key for key in (change.partition("=")[0] for change in changes) if not key.startswith(RESUMABLE)]
     if path is not None or fixed:
         what = f"CONFIG {path}" if path is not None else fixed[0]
-        raise ValueError(f"--resume uses the config of the run: {what} is fixed, only {RESUMABLE} may change")
+        allowed = ", ".join(name.removesuffix(".") for name in RESUMABLE)
+        raise ValueError(f"--resume uses the config of the run: {what} is fixed, only {allowed} may change")
     if changes:
         config = load_config(folder.config_file, changes)
         folder.write(folder.config_file, dump_config(config))

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import click
 
 from giirl_core.config import DEFAULT_TASKS
+from giirl_core.files import write_json
 
 
 class OutputFile(click.Path):
@@ -39,6 +40,12 @@ SEED = click.option("--seed", default=0, show_default=True, type=click.IntRange(
 DEMOS = click.option(
     "--demos", type=click.Path(path_type=Path), help="Folder of public human recordings.  [default: scripted experts]"
 )
+
+
+def save_json(file: Path | None, result: object) -> None:
+    """Write a result to the file of `--json`, if it was given."""
+    if file is not None:
+        write_json(file, result)
 
 
 Function = TypeVar("Function", bound=Callable[..., Any])

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import click
 
-from giirl.cli.options import JSON, seeds
+from giirl.cli.options import JSON, save_json, seeds
 from giirl.studies.grid_settings import ABLATION_SEEDS, JOINT_SEEDS, REPORT_SEEDS
-from giirl_core.files import write_json
 from giirl_core.progress import Display
 
 FIGURES = Path("runs/figures")
@@ -61,8 +60,7 @@ def _grid_command(name: str) -> click.Command:
 
         display, since_s = Display(), time.monotonic()
         result = STUDIES[name](seeds, out, display)
-        if json_file is not None:
-            write_json(json_file, result)
+        save_json(json_file, result)
         click.echo(json.dumps(result, indent=2))
         display.say(f"{result.get('figure', 'no figure')}, {time.monotonic() - since_s:.0f} s")
 

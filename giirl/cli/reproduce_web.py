@@ -8,9 +8,9 @@ from pathlib import Path
 
 import click
 
-from giirl.cli.options import DEMOS, JSON, seeds
+from giirl.cli.options import DEMOS, JSON, save_json, seeds
 from giirl.studies.web import STUDIES, Study, base_settings
-from giirl_core.files import folder_lock, write_json
+from giirl_core.files import folder_lock
 from giirl_core.progress import Display
 
 ROOT = Path("runs/studies")
@@ -105,8 +105,7 @@ def _reproduce(
         figure = json_path.with_name(f"{json_path.name.removesuffix('.json')}.png")
         draw_successes(figure, result["runs"])
         display.say(f"figure: {figure}")
-    if json_file is not None:
-        write_json(json_file, result)
+    save_json(json_file, result)
     display.table(study_table(study.title, result))
 
 

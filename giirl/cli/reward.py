@@ -7,13 +7,12 @@ from pathlib import Path
 
 import click
 
-from giirl.cli.options import JSON, RUN, OutputFile
+from giirl.cli.options import JSON, RUN, OutputFile, save_json
 from giirl.cli.report import say_written
 from giirl.run.folder import RunFolder
 from giirl.run.worlds import world_of
 from giirl_core.config import Config
 from giirl_core.config_file import load_config
-from giirl_core.files import write_json
 from giirl_core.progress import Display
 
 
@@ -38,8 +37,7 @@ def goal_swap(run: Path, task: str, pages: int, json_file: Path | None) -> None:
 
     _, config = _open_for_task(run, task)
     result = goal_swap(config, reward_of_run(run), task, pages, Metrics(), Display())
-    if json_file is not None:
-        write_json(json_file, result)
+    save_json(json_file, result)
     Display().say(
         f"{task}, {pages} fresh pages: own goal first {100 * result['own_goal_top1']:.1f} %, "
         f"after swapping the goal {100 * result['swapped_goal_top1']:.1f} %"
@@ -61,8 +59,7 @@ def sensitivity(run: Path, pages: int, json_file: Path | None) -> None:
 
     _, config = _open_web_run(run)
     found = sensitivity(config, reward_of_run(run), pages, Metrics(), Display())
-    if json_file is not None:
-        write_json(json_file, {"tasks": found})
+    save_json(json_file, {"tasks": found})
     for task, row in found.items():
         Display().say(f"{task}: AUC {row['auc']:.3f}, shuffled {row['shuffled']:.3f}, {row['pairs']} expert steps")
 
@@ -98,8 +95,7 @@ def score(run: Path, file: Path, json_file: Path | None) -> None:
 
     _, config = _open_web_run(run)
     scored = score_file(config, reward_of_run(run), file)
-    if json_file is not None:
-        write_json(json_file, scored)
+    save_json(json_file, scored)
     Display().table(score_table(scored))
 
 

@@ -158,7 +158,7 @@ class Fleet:
             folder = self._folder.path / "actors"
         else:
             folder = Path(tempfile.gettempdir()) / "giirl" / self._folder.identity
-        return folder.absolute() / f"{actor}.tally"
+        return folder.absolute() / f"{actor}.count"
 
     def _retire(self, actor: str) -> None:
         """Count out an actor that will not come back, by its own count if its file can be read from here."""

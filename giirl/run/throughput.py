@@ -15,7 +15,7 @@ WINDOW_S = 20.0  # of the recent rates
 class StreamState:
     """The state of the stream of episodes, as a runtime reports it."""
 
-    stale: int = 0  # episodes dropped as stale since the start of the run
+    stale: int = 0  # episodes dropped as stale since the start of the session
     actors_idle: float = 0.0  # fraction of the actors' tabs that wait for the learner
 
 
@@ -28,7 +28,7 @@ class _Step:
     env_steps: int
     waited_s: float
     lag: float  # sum over the episodes
-    stale: int  # since the start of the run
+    stale: int  # since the start of the session
 
 
 class Throughput:

@@ -267,7 +267,7 @@ def reward_of_run(path: Path) -> Weights:
     """The learned reward of a run, from its last checkpoint; ValueError if it learned none."""
     folder, config = RunFolder.open(path)
     if not ALGORITHMS[config.algorithm].has_learned_reward:
-        raise ValueError(f"{path} learned no reward: its algorithm is {config.algorithm!r}, wanted 'giirl'")
+        raise ValueError(f"{path} learned no reward: its algorithm is {config.algorithm!r}, wanted giirl or frozen")
     return folder.weights(latest_checkpoint(folder.checkpoints), "reward")
 
 

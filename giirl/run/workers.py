@@ -61,6 +61,7 @@ class WorkersRuntime:
             snapshot=self._snapshot,
             held_out=config.held_out_goals,
         )
+        self._stale_before = self._ingest.stale  # in earlier sessions of a resumed run
         known = [offsets.incarnation for offsets in self._snapshot.offsets]
         self._fleet = Fleet(
             config,
@@ -108,7 +109,7 @@ class WorkersRuntime:
 
     def stream(self) -> StreamState:
         """How many episodes were dropped as stale, and how much of their time the actors' tabs are idle."""
-        return StreamState(stale=self._ingest.stale, actors_idle=self._ingest.idle_share)
+        return StreamState(stale=self._ingest.stale - self._stale_before, actors_idle=self._ingest.idle_share)
 
     def addresses(self) -> dict[str, str]:
         """The metrics address of each process that is up, by its name."""

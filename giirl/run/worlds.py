@@ -1,4 +1,4 @@
-"""The two worlds that a run can learn in, as objects with the same functions; nothing else asks which world it is."""
+"""The two worlds that a run can learn in, as objects with the same functions. `giirl.report.worlds` draws them."""
 
 from __future__ import annotations
 

@@ -141,20 +141,20 @@ class Encoder(nn.Module):
 
     def _pool(self, batch: Batch, tokens: Tensor, elements: Tensor) -> Tensor:
         """[B, 3 * D] the attention-weighted mean of the goal tokens, and the mean and maximum of the elements."""
-        scores = self.goal_pool(tokens).squeeze(1)
+        scores = functional.embedding(batch.token_row, self.goal_pool(tokens)).squeeze(2)
+        weights = scores.masked_fill(~batch.token_mask, MASKED_LOGIT).softmax(1)
+        goal = torch.bmm(weights.unsqueeze(1), functional.embedding(batch.token_row, tokens)).squeeze(1)
         pooled = []
         for block, part in zip(batch.blocks, batch.by_block(elements), strict=True):
-            weights = (scores[block.token_row] + block.token_bias).softmax(1)
-            goal = torch.bmm(weights.unsqueeze(1), functional.embedding(block.token_row, tokens)).squeeze(1)
             if block.bias is None:
                 mean = part.mean(1)
             else:
                 real = (block.bias == 0).unsqueeze(2).float()
                 part = part * real
                 mean = part.sum(1) / real.sum(1).clamp(min=1)
-            pooled.append(torch.cat([goal, mean, part.amax(1)], dim=1))  # elements are not negative
+            pooled.append(torch.cat([mean, part.amax(1)], dim=1))  # elements are not negative
         batch_order = torch.cat([block.pages for block in batch.blocks]).argsort()
-        return torch.cat(pooled).index_select(0, batch_order)
+        return torch.cat([goal, torch.cat(pooled).index_select(0, batch_order)], dim=1)
 
 
 def adjacency(batch: Batch) -> list[Tensor]:

@@ -136,7 +136,7 @@ class RewardNet(nn.Module):
     def encode(self, encoding: Encoding, actions: ActionBatch) -> Tensor:
         """[B, M, 4 * D + 16] the inputs of `head`: element, summary, first and last token, and verb of each action."""
         in_goal = (actions.start >= 0).unsqueeze(2)
-        absent = self.absent[(actions.verb == Verb.TYPE).long()]
+        absent = functional.embedding((actions.verb == Verb.TYPE).long(), self.absent)
         element = encoding.element(actions.element)
         first, last = absent, absent
         if bool(in_goal.any()):

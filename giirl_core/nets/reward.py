@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import get_args
 
 import numpy as np
 import torch
@@ -11,6 +12,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from giirl_core.config import Config
+from giirl_core.config_sections import RewardForm
 from giirl_core.nets.action_batch import ActionBatch, collate_actions, collate_candidates, collate_sampled, join
 from giirl_core.nets.batch import collate
 from giirl_core.nets.features import Features, featurise
@@ -20,7 +22,7 @@ from giirl_core.nets.parameters import load_net
 from giirl_core.types import Action, Goal, Page, Trajectory
 from giirl_core.weights import Weights
 
-FORMS = ("logit", "d", "log_d", "gail", "goal")
+FORMS: tuple[str, ...] = get_args(RewardForm)
 
 
 def reward_of(logit: Tensor, form: str, clip: float) -> Tensor:

@@ -30,7 +30,7 @@ Messages of the actor carry a `Stamp`. Hello, heartbeat and bye are notices (`No
 Flow control: a grant has a `limit`. The actor starts only episodes whose sequence will be below it, and sends only
 those. The learner raises the limit as it takes episodes from its queue, so that none is played that would be stale when
 its turn comes. An actor whose copies take too much memory starts none either; before that, the flag `full` in its
-notices asks for a checkpoint.
+notices asks for a checkpoint. An actor sends notices more and more rarely while the learner does not answer them.
 
 Lost messages: notices and grants carry the complete state, not changes, so a lost or repeated one does no harm. A
 connection keeps the order of its messages. Therefore, when a grant answers a notice that was sent after an episode but

@@ -1,4 +1,4 @@
-"""ZeroMQ sockets: many dealers connect to one router; every queue, message size and wait is bounded."""
+"""ZeroMQ sockets: many dealers connect to one router; message sizes, sending queues and waits are bounded."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from zmq.utils.monitor import recv_monitor_message
 
 from giirl_core.wire.messages import MAX_BYTES
 
-HIGH_WATER_MARK = 256  # queued messages for each direction of each connection
+SEND_HIGH_WATER_MARK = 256  # queued messages for each connection
 LINGER_MS = 500  # how long a closing socket may still send
 BACKLOG = 4096  # connections waiting to be accepted: all actors reconnect at once when a learner restarts
 MAX_SOCKETS = 1 << 16  # in one process: simulations run thousands of actors in one
-HEARTBEAT_INTERVAL_MS = 2_000
-HEARTBEAT_TIMEOUT_MS = 15_000  # a peer that answers no heartbeat for this long is disconnected
+KEEPALIVE_S = 5  # silence on a connection before the kernel probes the peer, and between two probes
+PEER_TIMEOUT_MS = 15_000  # a peer whose kernel acknowledges nothing for this long is disconnected
 SEND_MORE = int(zmq.DONTWAIT | zmq.SNDMORE)
 WAKE_ADDRESS = "inproc://wake"
 RECONNECT_MS = 100
@@ -253,13 +253,20 @@ def _dealer_context() -> zmq.Context[zmq.Socket[bytes]]:
 
 
 def _new_socket(context: zmq.Context[zmq.Socket[bytes]], kind: int) -> zmq.Socket[bytes]:
-    """A socket with all limits set."""
+    """A socket with all options set. It has no receive limit and no ZMTP heartbeats, because libzmq aborts on either.
+
+    Up to version 4.3.5, libzmq aborts the process when it writes to a connection after an I/O error
+    (stream_engine_base.cpp:310). It keeps such a connection if the peer disconnects while input is stopped, which is so
+    when the receiving queue is full, the socket closes, or another connection takes over the identity. Two things then
+    write: the timer of heartbeats, and the answer to a PING of the peer when a full queue has space again. The kernel
+    finds dead peers instead, and our protocols bound what waits to be received. `tests.chaos.abort` counts aborts.
+    """
     socket = context.socket(kind)
     socket.linger = LINGER_MS
-    socket.sndhwm = socket.rcvhwm = HIGH_WATER_MARK
-    socket.maxmsgsize = MAX_BYTES
-    socket.heartbeat_ivl = HEARTBEAT_INTERVAL_MS
-    socket.heartbeat_timeout = HEARTBEAT_TIMEOUT_MS
+    socket.sndhwm, socket.rcvhwm, socket.maxmsgsize = SEND_HIGH_WATER_MARK, 0, MAX_BYTES
+    socket.tcp_keepalive, socket.tcp_keepalive_cnt = 1, PEER_TIMEOUT_MS // 1000 // KEEPALIVE_S
+    socket.tcp_keepalive_idle = socket.tcp_keepalive_intvl = KEEPALIVE_S
+    socket.tcp_maxrt = PEER_TIMEOUT_MS  # TCP_USER_TIMEOUT
     return socket
 
 

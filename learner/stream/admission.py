@@ -65,7 +65,7 @@ class Admission:
         self._grants_due: set[str] = set()  # actors whose grant has changed
         self._actors = {offsets.actor: ActorState.from_offsets(offsets) for offsets in snapshot.offsets}
         self._counts = Counter(snapshot.counts)
-        self._flow = FlowControl(limits.batch, limits.max_lag)
+        self._flow = FlowControl(limits.batch, limits.max_lag, stale=self.stale)
 
     @property
     def queued(self) -> int:

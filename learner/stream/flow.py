@@ -33,18 +33,18 @@ class IngestLimits:
 class FlowControl:
     """The bound on the outstanding episodes of all actors together. Not thread-safe."""
 
-    def __init__(self, batch: int, max_lag: int) -> None:
+    def __init__(self, batch: int, max_lag: int, *, stale: int = 0) -> None:
         """`batch` is the number of episodes per learner step; episodes more than `max_lag` versions old are dropped.
 
-        There is no bound if `batch` is 0, and in lock-step (`max_lag` 0).
+        `stale` is the number dropped so far. There is no bound if `batch` is 0, and in lock-step (`max_lag` 0).
         """
-        self._batch, self._max_lag, self._stale = batch, max_lag, 0
+        self._batch, self._max_lag, self._stale = batch, max_lag, stale
         self.outstanding = min(INITIAL_BATCHES, max_lag) * batch if batch and max_lag else float("inf")
 
     def observe(self, lags: Sequence[int], stale: int) -> None:
         """Adapt the bound after one batch. `lags` are those of its episodes, in versions.
 
-        `stale` is the number of stale episodes dropped since the start.
+        `stale` is the number of stale episodes dropped so far.
         """
         if self.outstanding == float("inf"):
             return

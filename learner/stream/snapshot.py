@@ -30,7 +30,7 @@ class ActorOffsets:
 
 @checked(config=STRICT, frozen=True, slots=True, kw_only=True)
 class _OffsetsFile:
-    marks: tuple[ActorOffsets, ...]  # the key of IngestSnapshot.offsets in the file
+    offsets: tuple[ActorOffsets, ...]
     counts: dict[str, NonNegativeInt]
 
 
@@ -48,7 +48,7 @@ class IngestSnapshot:
     def save(self, folder: Path) -> None:
         """Write both files into `folder`."""
         write_episodes(folder / QUEUE_FILE, self.episodes)
-        content = {"marks": [asdict(offsets) for offsets in self.offsets], "counts": dict(self.counts)}
+        content = {"offsets": [asdict(offsets) for offsets in self.offsets], "counts": dict(self.counts)}
         (folder / OFFSETS_FILE).write_text(json.dumps(content))
 
     @classmethod
@@ -60,4 +60,4 @@ class IngestSnapshot:
         except ValidationError as error:
             first = error.errors()[0]
             raise ValueError(f"{path} is damaged at {first['loc']}: {first['msg']}") from None
-        return cls(episodes=tuple(read_episodes(folder / QUEUE_FILE)), offsets=content.marks, counts=content.counts)
+        return cls(episodes=tuple(read_episodes(folder / QUEUE_FILE)), offsets=content.offsets, counts=content.counts)

@@ -51,7 +51,7 @@ class LoggedCounter(EpisodeCounter):
 def finished_counts(folder: Path) -> dict[tuple[int, int], int]:
     """(actor, incarnation) -> episodes it finished, from the actors' own files."""
     counts: dict[tuple[int, int], int] = {}
-    for suffix in ("settled", "tally"):
+    for suffix in ("settled", "count"):
         for path in sorted(folder.glob(f"actor-*.{suffix}")):
             actor = int(path.stem.rpartition("-")[2])
             for incarnation, count in read_counts(path):
@@ -92,7 +92,7 @@ class SimulatedActor:
     def __init__(self, folder: Path, address: str, actor: int, incarnation: int, keys: Keys | None) -> None:
         self.actor, self.incarnation, self.sequence = actor, incarnation, 0
         name = f"actor-{actor}"
-        self.counter = LoggedCounter(folder / f"{name}.tally", incarnation)
+        self.counter = LoggedCounter(folder / f"{name}.count", incarnation)
         self.uplink = Uplink(
             address, run="chaos", actor=name, incarnation=incarnation, counter=self.counter, limits=LIMITS, keys=keys
         )

@@ -21,8 +21,8 @@ import giirl.run.train as giirl_run
 from giirl.run.workers import WorkersRuntime
 from learner.checkpoint import latest_checkpoint
 from tests.chaos.storm import start
-from tests.chaos.threads import ThreadPlatform
 from tests.giirl.small import run
+from tests.thread_platform import ThreadPlatform
 
 SETTINGS = {
     "serial": ("runtime=serial",),

@@ -25,12 +25,14 @@ import numpy as np
 from learner.checkpoint import latest_checkpoint
 from learner.stream.admission import DROPPED, TAKEN
 from learner.stream.snapshot import IngestSnapshot
+from tests.chaos import raw_peer
 from tests.chaos.crowd import INCARNATIONS, SEQUENCES, VERSION_FILE, finished_counts, read_version, run_actors
 from tests.chaos.relay import relay
 from tests.chaos.trainer import TRAINED_FILE, UPDATE_S_FILE, WRITING_FILE, train
 
 SHUTDOWN_S = 120.0  # for a process to deliver its episodes and end
 RELAY_FAULTS_FILE = "relay_faults.json"  # the number of faults of each kind that the last relay injected
+STRANGE_MESSAGES = 2_000  # from a peer that is no actor
 PROGRESS_S = 60.0  # without a step of the learner, in spite of all faults, counts as a hang
 
 
@@ -78,6 +80,7 @@ class Storm:
             self._slow_trainer,
             self._kill_relay,
             self._suspend_relay,
+            self._misbehave,
         ]
         started_s, step, progress_s = time.monotonic(), 0, time.monotonic()
         while sum(self.faults.values()) < faults or sum(finished_counts(self.folder).values()) < episodes:
@@ -127,7 +130,8 @@ class Storm:
     def _kill(self, name: str) -> None:
         pid = self._pids.pop(name)
         os.kill(pid, signal.SIGKILL)
-        os.waitpid(pid, 0)
+        status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        assert status == -signal.SIGKILL, f"{name} had ended with {status} before it was killed"
 
     def _kill_crowd(self) -> None:
         index = self._any_crowd()
@@ -191,6 +195,18 @@ class Storm:
 
     def _suspend_relay(self) -> None:
         self._suspend("relay", 1.0)
+
+    def _misbehave(self) -> None:
+        """A stranger sends more than the suspended learner reads, then disconnects in the middle of a frame."""
+        try:
+            peer = raw_peer.connect(f"127.0.0.1:{self._ports[0]}")
+        except OSError:
+            return  # the learner is still starting
+        os.kill(self._pids["trainer"], signal.SIGSTOP)
+        peer.sendall((raw_peer.MESSAGE + raw_peer.PING) * STRANGE_MESSAGES + raw_peer.OVERSIZED[:5])
+        raw_peer.reset(peer)
+        time.sleep(self._rng.random() * 0.5)
+        os.kill(self._pids["trainer"], signal.SIGCONT)
 
     def _suspend(self, name: str, longest_s: float) -> None:
         os.kill(self._pids[name], signal.SIGSTOP)

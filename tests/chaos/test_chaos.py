@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from tests.chaos.abort import FAULTS
 from tests.chaos.namespaces import missing
 from tests.chaos.scripts import run_script
 
@@ -36,7 +37,7 @@ def test_through_all_faults_each_finished_episode_is_trained_on_once_or_counted_
     assert max(ledger["learner_back_s"], default=0) < 10
     assert ledger["relay_faults"]
     if full:
-        assert len(ledger["faults"]) == 10  # every kind
+        assert len(ledger["faults"]) == 11  # every kind
         assert len(ledger["relay_faults"]) == 9
 
 
@@ -67,7 +68,7 @@ def test_memory_stays_constant_while_the_learner_is_stopped_and_all_actors_resum
 def test_no_episode_is_lost_when_the_network_is_cut_and_restored(full: bool, tmp_path: Path) -> None:
     if reason := missing():
         pytest.skip(reason)
-    cut_s = 30.0 if full else 4.0  # after 15 s without a heartbeat the sockets drop the connection
+    cut_s = 30.0 if full else 4.0  # after 15 s without an acknowledgement the sockets drop the connection
     result = run_script("cut", tmp_path, str(cut_s), timeout_s=150, result="cut.json")
     assert result["steps_while_cut"] == 0, result
     assert result["ledger"]["unaccounted"] == result["ledger"]["trained_twice"] == 0, result
@@ -82,3 +83,23 @@ def test_corrupt_messages_and_files_raise_only_the_documented_errors(full: bool,
     assert sum(result["messages"].values()) == messages
     assert sum(result["files"].values()) == files
     assert result["growth_mib"] < 16, result
+
+
+def test_no_peer_makes_libzmq_abort_a_process(full: bool, tmp_path: Path) -> None:
+    tries = 200 if full else 20
+    result = run_script("abort", tmp_path, str(tries), timeout_s=900, result="abort.json")
+    assert result == {fault: {"0": tries} for fault in FAULTS}
+
+
+@pytest.mark.parametrize(
+    ("setting", "faults"),
+    [
+        ("limit", ["pings_in_a_full_connection", "pings_in_a_full_dealer"]),
+        ("heartbeats", ["reset_after_the_identity_was_taken", "reset_while_the_router_closes"]),
+    ],
+)
+def test_a_receive_limit_or_heartbeats_would_make_libzmq_abort(setting: str, faults: list[str], tmp_path: Path) -> None:
+    """If this fails, libzmq may have been repaired: then the sockets could have both again."""
+    result = run_script("abort", tmp_path, "2", setting, timeout_s=120, result="abort.json")
+    for fault in faults:
+        assert result[fault].get("SIGABRT"), result

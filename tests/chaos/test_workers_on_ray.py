@@ -32,6 +32,7 @@ WORDS = (
     "actors.heartbeat_timeout_s=4.0",
     "scoring.replicas=2",
 )
+RAY_CLEANUP_S = 90.0  # Ray agents search for their node for a minute before they exit
 START_S = 200.0  # Ray and torch take long to start on a busy machine
 ENV = {"RAY_worker_niceness": "0"}  # other programs must not starve the workers
 
@@ -55,7 +56,7 @@ def test_a_run_whose_actor_dies_at_every_start_is_saved_and_ends_with_an_error(f
         pytest.skip("takes minutes: `pytest tests/chaos` runs it")
     with run_folder() as run, Command(*WORDS, f"run={run}", env=ENV) as command:
         command.until(lambda: step(run) > 2, "first iterations", timeout_s=START_S)
-        counter_file, started = run / "actors" / "actor-0.tally", set[int]()
+        counter_file, started = run / "actors" / "actor-0.count", set[int]()
 
         def failed() -> bool:
             incarnation, _ = read_counts(counter_file)[-1]
@@ -91,7 +92,36 @@ def test_a_hung_actor_and_a_dead_reward_service_are_replaced_while_the_run_goes_
         command.stop(signal.SIGINT)
         assert command.wait(timeout_s=90) == 130, command.err
         assert command.wait_leftover() == []
-        assert unaccounted(run, run / "actors/actor-0.tally") == 0
+        assert unaccounted(run, run / "actors/actor-0.count") == 0
+
+
+def test_actor_reward_service_and_learner_go_on_after_an_abort(full: bool) -> None:
+    """A failed assertion in a library written in C++ ends a process with SIGABRT."""
+    if not full:
+        pytest.skip("takes minutes: `pytest tests/chaos` runs it")
+    words = [word.replace("every=1000", "every=5").replace("replicas=2", "replicas=1") for word in WORDS]
+    with run_folder() as run:
+        with Command(*words, f"run={run}", env=ENV) as first:
+            first.until(lambda: step(run) > 2, "first iterations", timeout_s=START_S)
+            for title in ("ray::ActorProcess", "ray::RewardProcess"):
+                (process,) = find(first, title)
+                process.send_signal(signal.SIGABRT)
+                first.until(
+                    lambda process=process, title=title: find(first, title) not in ([], [process]),  # type: ignore[misc]
+                    f"a new {title}",
+                    timeout_s=90,
+                )
+                assert_goes_on(first, run)
+            first.stop(signal.SIGABRT)
+            assert first.wait() == -signal.SIGABRT
+            reached = step(run)
+            with Command("train", "--resume", str(run), env=ENV) as second:
+                second.until(lambda: step(run) > reached + 5, "further iterations", timeout_s=START_S)
+                second.stop(signal.SIGINT)
+                assert second.wait(timeout_s=90) == 130, second.err
+                assert second.wait_leftover() == []
+            assert first.wait_leftover(timeout_s=RAY_CLEANUP_S) == []
+        assert unaccounted(run, run / "actors/actor-0.count") == 0
 
 
 def test_a_learner_that_is_resumed_on_a_cluster_reattaches_its_actors_and_replicas(full: bool) -> None:
@@ -113,4 +143,4 @@ def test_a_learner_that_is_resumed_on_a_cluster_reattaches_its_actors_and_replic
             second.stop(signal.SIGTERM)
             assert second.wait(timeout_s=90) == 130, second.err
         identity = (run / "identity").read_text()
-        assert unaccounted(run, head.temporary / "giirl" / identity / "actor-0.tally") == 0
+        assert unaccounted(run, head.temporary / "giirl" / identity / "actor-0.count") == 0

@@ -156,7 +156,7 @@ def _actor_offsets(run: Path) -> list[dict[str, Any]]:
     """The actor offsets in the newest checkpoint; the first checkpoint is saved before there are any."""
     checkpoints = run / "checkpoints"
     saved = read_json(checkpoints / (checkpoints / "latest").read_text() / "actors.json")
-    offsets: list[dict[str, Any]] = saved["marks"]
+    offsets: list[dict[str, Any]] = saved["offsets"]
     return offsets
 
 

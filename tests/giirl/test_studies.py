@@ -85,7 +85,7 @@ def test_training_on_a_frozen_reward_changes_the_policy_and_not_the_reward(tmp_p
 
 def test_a_run_without_a_learned_reward_cannot_be_a_frozen_reward(tmp_path: Path) -> None:
     run(tmp_path / "cloned", "algorithm=cloning")
-    with pytest.raises(ValueError, match=r"cloned learned no reward: its algorithm is 'cloning', wanted 'giirl'"):
+    with pytest.raises(ValueError, match=r"cloned learned no reward: .* 'cloning', wanted giirl or frozen"):
         run(tmp_path / "second", "algorithm=frozen", f"reward_from={tmp_path / 'cloned'}")
 
 

@@ -20,8 +20,8 @@ from giirl_core.nets.parameters import seal_net
 from giirl_core.nets.reward import build_reward
 from giirl_core.types import Episode
 from reward_service.process import RewardProcess
-from tests.chaos.threads import ThreadPlatform
 from tests.giirl.small import config, run
+from tests.thread_platform import ThreadPlatform
 
 LOCK_STEP = ("runtime=local", "stream.policy_lag=0", "stream.reward_lag=0", "actors.tabs=2")
 FEW = ("iterations=3", "evaluate.episodes=1", "evaluate.random_episodes=1")
@@ -74,12 +74,11 @@ def test_actors_are_added_and_removed_during_a_run(
     actors = runtimes[0]._fleet._actors
     assert [actor.name for actor in actors] == ["actor-0", "actor-1"]  # the third was stopped
     assert [actor.restarts for actor in actors] == [0, 0]  # the second was not refused when it came back
-    held = runtimes[0]._ingest.snapshot()
-    assert {mark.actor for mark in held.offsets} == {"actor-0", "actor-1", "actor-2"}
-    tallies = {mark.actor: read_counts(tmp_path / "run/actors" / f"{mark.actor}.tally")[-1] for mark in held.offsets}
-    assert {
-        mark.actor: (mark.incarnation, mark.low_watermark) for mark in held.offsets
-    } == tallies  # every episode is accounted for
+    offsets = {actor.actor: actor for actor in runtimes[0]._ingest.snapshot().offsets}
+    assert set(offsets) == {"actor-0", "actor-1", "actor-2"}
+    counts = {name: read_counts(tmp_path / "run/actors" / f"{name}.count")[-1] for name in offsets}
+    admitted = {name: (actor.incarnation, actor.low_watermark) for name, actor in offsets.items()}
+    assert admitted == counts  # every episode is accounted for
 
 
 def test_rejoin_returns_from_an_idle_reward_service_and_waits_for_a_serving_one(tmp_path: Path) -> None:

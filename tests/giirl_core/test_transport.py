@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import threading
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
+from pathlib import Path
 
 import pytest
 import zmq
@@ -128,6 +130,35 @@ def test_only_the_sender_of_a_too_large_message_is_disconnected(monkeypatch: pyt
             assert router.recv(0.5) is None
         assert dealer.send(b"x" * 10_000, timeout_s=WAIT_S)
         assert router.recv(WAIT_S) == (b"a", b"x" * 10_000)
+
+
+def test_a_peer_can_send_without_limit_while_nobody_receives(router: Router) -> None:
+    with closing(Dealer(router.address, identity=b"a")) as dealer:
+        for number in range(20_000):
+            assert dealer.send(b"%d" % number, timeout_s=WAIT_S)
+        assert [router.recv(WAIT_S) for _ in range(20_000)] == [(b"a", b"%d" % n) for n in range(20_000)]
+
+
+def test_the_kernel_finds_dead_peers_of_both_ends_of_a_connection(router: Router) -> None:
+    with closing(Dealer(router.address, identity=b"a")) as dealer:
+        assert dealer.send(b"x", timeout_s=WAIT_S)
+        assert router.recv(WAIT_S)
+        assert list(_connections(router.address)) == [(1, 5, 5, 15_000)] * 2
+
+
+def _connections(address: str) -> Iterator[tuple[int, ...]]:
+    """Keepalive options of this process's ends of connections with `address`."""
+    tcp = [socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_USER_TIMEOUT]
+    for entry in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):  # closed meanwhile, or not connected
+            if not str(entry.readlink()).startswith("socket:"):
+                continue
+            with socket.socket(fileno=os.dup(int(entry.name))) as end:
+                if end.family == socket.AF_INET and address in [
+                    "{}:{}".format(*name) for name in (end.getsockname(), end.getpeername())
+                ]:
+                    options = [end.getsockopt(socket.IPPROTO_TCP, option) for option in tcp]
+                    yield end.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE), *options
 
 
 def test_a_bad_key_is_refused_and_a_secret_is_not_in_the_repr() -> None:

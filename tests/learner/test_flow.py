@@ -104,6 +104,13 @@ def test_the_bound_falls_with_lag_and_grows_without() -> None:
     assert flow.outstanding == pytest.approx(BATCH / 4)
 
 
+def test_stale_episodes_of_earlier_sessions_do_not_shrink_the_bound() -> None:
+    flow = FlowControl(BATCH, MAX_LAG, stale=3)
+    initial = flow.outstanding
+    flow.observe([0], stale=3)
+    assert flow.outstanding > initial
+
+
 def test_actors_share_what_may_be_outstanding_and_lock_step_has_no_bound() -> None:
     flow = FlowControl(BATCH, 1)
     assert flow.windows(["b", "a", "c"], credits=256) == {"a": 11, "b": 11, "c": 10}

@@ -152,10 +152,13 @@ def test_the_less_loaded_of_two_replicas_gets_more_requests() -> None:
                         assert router.send(message[0], scoring.encode_reply(reply))
             return sum(received.values())
 
+        def settled(requests: int) -> bool:
+            return received_so_far() == requests and client.pending == received[silent]
+
         with closing(client):
             for key in range(20):
                 client.submit(key, trajectory(1))
-                until(lambda wanted=key + 1: received_so_far() == wanted)  # type: ignore[misc]
+                until(lambda requests=key + 1: settled(requests))  # type: ignore[misc]
     assert 1 <= received[silent] <= 3
 
 
