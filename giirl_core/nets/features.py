@@ -23,11 +23,13 @@ from giirl_core.nets.layout import (
     FOCUSED,
     GOAL_NUMBERS,
     GROUP_RUN,
+    HAS_NUMBER,
     HAS_PEER,
     IN_VALUE,
     KIND_WORD,
     LABEL_RUN,
     LABEL_WORD,
+    MATCH_KINDS,
     MATCHED,
     MATCHED_QUOTED,
     MOST_SIMILAR,
@@ -49,10 +51,11 @@ from giirl_core.nets.layout import (
 from giirl_core.nets.matching import Matches, match
 from giirl_core.nets.page_features import PageFeatures, page_features
 from giirl_core.nets.reading import Floats, GoalText, Ids, read_goal
-from giirl_core.nets.relations import NONE
 from giirl_core.types import Goal, Page
 
-_TOKEN_MATCHES = np.array([TEXT_RUN, KIND_WORD, LABEL_WORD, GROUP_RUN, SIMILAR])  # columns TOKEN_MATCHES
+# Matches of goal tokens, and the columns of their flags.
+_TOKEN_MATCHES = np.array([TEXT_WORD, VALUE_RUN, TEXT_RUN, KIND_WORD, LABEL_WORD, GROUP_RUN, SIMILAR])
+_TOKEN_COLUMNS = np.array([ON_PAGE, IN_VALUE, *range(TOKEN_MATCHES.start, TOKEN_MATCHES.stop)])
 _PEER_MATCHES = np.array([TEXT_RUN, KIND_WORD, LABEL_RUN, GROUP_RUN])
 
 
@@ -77,47 +80,49 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
     flags[:, :PAGE_FLAGS] = read.flags
     flags[:, FOCUSED], flags[:, TAMPERED] = page.focused, page.tampered
     matches = match(read, text, flags)
-    flags[:, MATCHED] = matches.any(axis=2)
-    flags[:, MATCHED_QUOTED] = (matches & text.quoted).any(axis=2) if text.quoted.any() else 0.0
+    elements, kinds, tokens = matches.nonzero()
+    match_counts = np.bincount(elements * MATCH_KINDS + kinds, minlength=count * MATCH_KINDS)
+    flags[:, MATCHED] = match_counts.reshape(count, MATCH_KINDS) > 0
+    quoted = text.quoted[tokens]
+    flags[elements[quoted], MATCHED_QUOTED.start + kinds[quoted]] = 1.0
     _compare_numbers(flags, page, read, text)
     _compare_month(flags, read, text)
     _compare_drawings(flags, page, read, text)
-    _mark_peers(flags, page, matches)
-    by_kind: NDArray[np.bool_] = np.any(matches, axis=0)  # [MATCH_KINDS, L]
+    _mark_peers(flags, page, read, matches)
+    by_kind = np.zeros((MATCH_KINDS, len(text.exact)), dtype=np.bool_)
+    by_kind[kinds, tokens] = True
     token_flags = text.flags.copy()
-    token_flags[:, ON_PAGE], token_flags[:, IN_VALUE] = by_kind[TEXT_WORD], by_kind[VALUE_RUN]
-    token_flags[:, TOKEN_MATCHES] = by_kind[_TOKEN_MATCHES].T
+    token_flags[:, _TOKEN_COLUMNS] = by_kind[_TOKEN_MATCHES].T
     is_open = text.quoted | by_kind[TEXT_WORD] | by_kind[MOST_SIMILAR]
-    elements, kinds, tokens = np.nonzero(matches)
-    group = read.structure.group
     return Features(
-        token_ids=np.stack([text.rows, is_open], axis=1, dtype=np.int32),
+        token_ids=np.array((text.rows, is_open), dtype=np.int32).T,
         token_flags=token_flags,
         element_ids=read.ids,
         element_flags=flags,
-        group=np.where(group == NONE, np.arange(count), group),
+        group=read.structure.own_group,
         relations=read.structure.relations,
-        match_ids=np.stack([elements, kinds, tokens], axis=1).astype(np.int32),
-        match_weights=(1.0 / matches.sum(axis=2)[elements, kinds]).astype(np.float32),
+        match_ids=np.array((elements, kinds, tokens), dtype=np.int32).T,
+        match_weights=(1.0 / match_counts[elements * MATCH_KINDS + kinds]).astype(np.float32),
     )
 
 
 def _compare_numbers(flags: Floats, page: Page, read: PageFeatures, goal: GoalText) -> None:
     """Compare the numbers of the goal with those of elements, their ranks, and the number of leaves acted on."""
-    acted = int((page.tampered & page.leaf).sum()) if page.tampered.any() else 0
+    acted = int((page.tampered & read.structure.leaf).sum())
     flags[:, ACTED_COUNT] = np.log1p(acted)
-    count = int((~np.isnan(goal.numbers)).sum())
+    count = len(goal.numbers)
     if not count:
         return
-    numbers, structure = goal.numbers[:count], read.structure
-    flags[:, RANK_IN_GOAL] = (structure.rank[:, None] == numbers).any(axis=1)
-    compared = flags[:, COMPARED:].reshape(len(flags), GOAL_NUMBERS, PER_NUMBER)  # a copy
-    found = np.flatnonzero(~np.isnan(read.number))
-    difference = numbers - read.number[found, None]
-    sign = np.sign(difference)
-    compared[found, :count, EQUAL], compared[found, :count, SIGN] = difference == 0, sign
-    compared[found, :count, DISTANCE] = sign * np.log1p(np.abs(difference)) / 4
-    compared[:, :count, RANK_EQUAL] = (numbers - structure.rank[:, None]) % structure.alike[:, None] == 0
+    numbers, rank = goal.numbers, read.structure.rank[:, None]
+    flags[:, RANK_IN_GOAL] = (rank == numbers).any(axis=1)
+    compared = np.zeros((len(flags), GOAL_NUMBERS, PER_NUMBER), dtype=np.float32)
+    found = np.flatnonzero(read.flags[:, HAS_NUMBER])
+    if len(found):
+        difference = numbers - read.number[found, None]
+        sign = np.sign(difference)
+        compared[found, :count, EQUAL], compared[found, :count, SIGN] = difference == 0, sign
+        compared[found, :count, DISTANCE] = sign * np.log1p(np.abs(difference)) / 4
+    compared[:, :count, RANK_EQUAL] = (numbers - rank) % read.structure.alike[:, None] == 0
     compared[:, :count, ACTED_EQUAL], compared[:, :count, ACTED_SIGN] = acted == numbers, np.sign(numbers - acted)
     compared[:, :count, WANTED] = np.clip(numbers, -20, 40) / 10
     flags[:, COMPARED:] = compared.reshape(len(flags), GOAL_NUMBERS * PER_NUMBER)
@@ -145,21 +150,23 @@ def _compare_drawings(flags: Floats, page: Page, read: PageFeatures, goal: GoalT
     drawings = read.drawings.items()
     fits = [e for e, words in drawings if wanted <= words and (not goal.characters or page.text[e] in goal.characters)]
     flags[fits, FITS] = 1.0
-    flags[:, COUNTS_FITTING] = [text.number == len(fits) for text in read.texts]
+    flags[:, COUNTS_FITTING] = [element.text.number == len(fits) for element in read.elements]
     flags[list(read.drawings), COUNTS_FITTING] = 0.0
 
 
-def _mark_peers(flags: Floats, page: Page, matches: Matches) -> None:
+def _mark_peers(flags: Floats, page: Page, read: PageFeatures, matches: Matches) -> None:
     """Mark leaves that have the tag, first class and matches of a leaf that was acted on, and were not acted on."""
-    if not page.tampered.any():
+    acted = page.tampered & read.structure.leaf
+    if not acted.any():
         return
-    leaf = page.leaf
     matched: NDArray[np.bool_] = np.any(matches[:, _PEER_MATCHES], axis=1)  # [E, L]
+    kinds = read.structure.kinds
 
-    def key(e: int) -> tuple[str, str, bytes]:
-        return page.tag[e], page.classes[e].split(" ", 1)[0], matched[e].tobytes()
+    def key(e: int) -> tuple[tuple[str, str], bytes]:
+        return kinds[e], matched[e].tobytes()
 
-    acted = {key(e) for e in np.flatnonzero(page.tampered & leaf & matched.any(axis=1)).tolist()}
-    peers = [e for e in np.flatnonzero(leaf & ~page.tampered).tolist() if key(e) in acted]
+    keys = {key(e) for e in np.flatnonzero(acted & matched.any(axis=1)).tolist()}
+    others = np.flatnonzero(read.structure.leaf & ~page.tampered).tolist() if keys else ()
+    peers = [e for e in others if key(e) in keys]
     flags[peers, PEER] = 1.0
     flags[:, HAS_PEER] = len(peers) > 0

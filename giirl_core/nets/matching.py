@@ -24,9 +24,9 @@ from giirl_core.nets.layout import (
     VALUE_RUN,
     WORD_FRACTION,
 )
-from giirl_core.nets.page_features import PageFeatures, Words
+from giirl_core.nets.page_features import PageFeatures
 from giirl_core.nets.reading import Floats, GoalText, Text, occurrences
-from giirl_core.nets.relations import NONE
+from giirl_core.nets.relations import NONE, Structure
 
 MIN_COSINE = 0.25  # of the most similar word of the page
 SIMILAR_COSINE = 0.5  # of similar words
@@ -39,63 +39,69 @@ def match(read: PageFeatures, goal: GoalText, flags: Floats) -> Matches:
 
     Runs are case-sensitive, single words are not.
     """
-    matches = np.zeros((len(read.texts), MATCH_KINDS, len(goal.exact)), dtype=np.bool_)
-    if not len(matches):
-        return matches
-    _match_words(matches[:, TEXT_WORD], read.hashes, goal)
-    _match_words(matches[:, KIND_WORD], read.kinds, goal)
-    rows = np.flatnonzero(matches[:, TEXT_WORD].any(axis=1))
-    for e in rows.tolist():
-        distinct = {*read.word_hashes[e].tolist()} - {0}
-        flags[e, WORD_FRACTION] = matches[e, TEXT_WORD, goal.distinct].sum() / len(distinct)
-        _match_run(matches[e, TEXT_RUN], goal, read.texts[e])
-        flags[e, TEXT_FOLDED] = any(True for _ in occurrences(goal.folded, read.texts[e].folded))
-    for e, text in read.values.items():
-        _match_run(matches[e, VALUE_RUN], goal, text)
-    for e, text in read.attributes.items():
-        _match_run(matches[e, ATTRIBUTE_RUN], goal, text)
+    length = len(goal.exact)
+    matches = np.zeros((len(read.elements), MATCH_KINDS, length), dtype=np.bool_)
+    found: list[int] = []  # indices of the flat array
+    for e, element in enumerate(read.elements):
+        at = e * MATCH_KINDS
+        if not goal.words.isdisjoint(element.words):
+            distinct = {*element.words}
+            common = distinct & goal.words
+            found += [(at + TEXT_WORD) * length + index for word in common for index in goal.folded_places[word]]
+            found += _run(goal, element.text, (at + TEXT_RUN) * length)
+            flags[e, WORD_FRACTION] = len(common) / len(distinct)
+            folded = element.text.folded
+            flags[e, TEXT_FOLDED] = any(True for _ in occurrences(goal.folded, goal.folded_places, folded))
+        if not goal.words.isdisjoint(element.kind.words):
+            common = goal.words.intersection(element.kind.words)
+            found += [(at + KIND_WORD) * length + index for word in common for index in goal.folded_places[word]]
+        if element.value is not None:
+            found += _run(goal, element.value, (at + VALUE_RUN) * length)
+        if element.attributes is not None:
+            found += _run(goal, element.attributes, (at + ATTRIBUTE_RUN) * length)
+    matches.ravel()[found] = True
     if goal.affixes:
-        for e, first, last in read.ends:
-            flags[e, PREFIX], flags[e, SUFFIX] = first.startswith(goal.affixes), last.endswith(goal.affixes[-1])
+        _mark_affixes(read, goal, flags)
     _match_similar(matches, read, goal, flags)
-    _match_labels(matches, read.structure.label, flags)
+    _match_labels(matches, read.structure, flags)
     _match_groups(matches, read.structure.group)
     return matches
 
 
-def _match_words(matches: NDArray[np.bool_], words: Words, goal: GoalText) -> None:
-    """Set matches [E, L] where an element has a word of the goal, in any case."""
-    if len(words.rows):
-        matches[words.rows] = np.logical_or.reduceat(words.words[:, None] == goal.hashes, words.starts, axis=0)
+def _run(goal: GoalText, text: Text, first: int) -> list[int]:
+    """`first` + the indices of the words of the goal that are part of a whole text."""
+    starts = occurrences(goal.exact, goal.places, text.exact)
+    return [first + index for start in starts for index in range(start, start + len(text.exact))]
 
 
-def _match_run(matches: NDArray[np.bool_], goal: GoalText, text: Text) -> None:
-    """Set matches [L] where the goal contains a whole text."""
-    for start in occurrences(goal.exact, text.exact):
-        matches[start : start + len(text.exact)] = True
+def _mark_affixes(read: PageFeatures, goal: GoalText, flags: Floats) -> None:
+    for e, element in enumerate(read.elements):
+        words = element.text.folded
+        if words:
+            flags[e, PREFIX], flags[e, SUFFIX] = words[0].startswith(goal.affixes), words[-1].endswith(goal.affixes[-1])
 
 
 def _match_similar(matches: Matches, read: PageFeatures, goal: GoalText, flags: Floats) -> None:
     """Match goal words that are not on the page with similar words, by the cosine of their word vectors."""
-    cosine = np.zeros((len(matches), len(goal.exact)), dtype=np.float32)
-    if len(read.vectors.rows):
-        table = np.maximum(read.units @ goal.units.T, 0.0)
-        cosine[read.vectors.rows] = np.maximum.reduceat(table[read.vectors.words], read.vectors.starts, axis=0)
-    flags[:, SIMILARITY] = cosine.max(axis=1)
+    if not len(read.with_words):
+        return
+    table = np.maximum(read.units @ goal.units.T, 0.0)
+    cosine = np.maximum.reduceat(table[read.unit], read.first_unit, axis=0)  # [R, L]
+    flags[read.with_words, SIMILARITY] = cosine.max(axis=1)
     absent = ~matches[:, TEXT_WORD].any(axis=0)  # [L]
     best = cosine.max(axis=0)
     candidates = cosine * absent
     mutual = (candidates == candidates.max(axis=1, keepdims=True)) & (cosine == best)
-    matches[:, MOST_SIMILAR] = mutual & (best > MIN_COSINE) & absent
-    matches[:, SIMILAR] = (cosine >= SIMILAR_COSINE) & absent
+    matches[read.with_words, MOST_SIMILAR] = mutual & (best > MIN_COSINE) & absent
+    matches[read.with_words, SIMILAR] = (cosine >= SIMILAR_COSINE) & absent
 
 
-def _match_labels(matches: Matches, label: NDArray[np.int64], flags: Floats) -> None:
+def _match_labels(matches: Matches, structure: Structure, flags: Floats) -> None:
     """Match fields with the words that match their labels."""
-    fields = np.flatnonzero(label != NONE)
+    fields = structure.labelled
     if not len(fields):
         return
-    labels = label[fields]
+    labels = structure.label[fields]
     matches[fields, LABEL_RUN], matches[fields, LABEL_WORD] = matches[labels, TEXT_RUN], matches[labels, TEXT_WORD]
     matches[fields, SIMILAR] |= matches[labels, SIMILAR]
     matches[fields, MOST_SIMILAR] |= matches[labels, MOST_SIMILAR]

@@ -5,24 +5,28 @@ from __future__ import annotations
 import functools
 import re
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from giirl_core.nets.colours import COLOURS, colour_names
-from giirl_core.nets.language import FIRST_WORD, PADDING, Vectors
+from giirl_core.nets.language import FIRST_WORD, Vectors
 from giirl_core.nets.layout import (
     CAPITAL,
+    CLASS,
     CLASS_SLOTS,
     CLASSES,
     DIGIT,
+    ELEMENT_IDS,
+    ELEMENT_KIND,
     GOAL_NUMBERS,
     KIND_WORDS,
     PUNCTUATION,
     QUOTE,
     QUOTED,
+    TAG,
     TAGS,
     TOKEN_FLAGS,
     WORDS,
@@ -35,7 +39,6 @@ SMALL_PX = 15.0  # a drawing that is less high is small
 
 Ids = NDArray[np.int32]
 Floats = NDArray[np.float32]
-Hashes = NDArray[np.int64]
 
 _TAG_WORDS = {  # words that instructions use for elements with these tags
     "a": ("link",),
@@ -57,7 +60,6 @@ _TAG_WORDS = {  # words that instructions use for elements with these tags
     "select": ("list",),
     "textarea": ("textarea",),
 }
-TAG_WORDS = 4  # words for tag and shape, at most
 _MONTHS = "january february march april may june july august september october november december"
 MONTHS = tuple(_MONTHS.split())
 _COUNTS = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
@@ -75,23 +77,23 @@ _POINTED_AT = re.compile(r"hover|-over$")  # classes of the element below the mo
 class Text:
     """The W words of the text or value of an element."""
 
-    rows: Ids  # [WORDS] rows of the word vectors, PADDING after the last word
     exact: tuple[str, ...]  # [W] words as written
     folded: tuple[str, ...]  # [W] words in lower case
-    hashes: Hashes  # [WORDS] of the first words in lower case, 0 after the last word
+    rows: tuple[int, ...]  # rows of the word vectors of the first WORDS words
     number: float  # the number or month that the text is, nan for other texts
     numbers: tuple[int, ...]  # all non-negative integers in the text, in order
+    month: int  # from 1 if the text is the name of a month, else 0
+    year: int  # the number if the text has four digits, else 0
 
 
 @dataclass(frozen=True, slots=True)
 class Kind:
     """The kind of an element in words."""
 
-    rows: Ids  # [KIND_WORDS] rows of the word vectors, PADDING after the last word
-    hashes: Hashes  # [KIND_WORDS] of the words, 0 after the last word
-    tag_hashes: Hashes  # [TAG_WORDS] of the words for tag and shape, 0 after the last word
-    tag: int
-    classes: tuple[int, ...]  # [CLASS_SLOTS] hash buckets, 0 for none
+    words: tuple[str, ...]  # in lower case, at most KIND_WORDS
+    tag_words: tuple[str, ...]  # the words for tag and shape
+    ids: Ids  # [ELEMENT_IDS] rows of the vectors of `words`, tag, classes; 0 in other columns
+    drawing: frozenset[str] | None  # words for the colour and shape of a drawing, None for other elements
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,12 +103,13 @@ class GoalText:
     rows: Ids  # [L] rows of the word vectors
     exact: tuple[str, ...]  # [L] tokens as written
     folded: tuple[str, ...]  # [L] tokens in lower case
-    hashes: Hashes  # [L] of the tokens in lower case; -1 for punctuation, which matches nothing
-    distinct: NDArray[np.int64]  # index of the first occurrence of each distinct token in lower case
+    places: Mapping[str, list[int]]  # indices of each token as written
+    folded_places: Mapping[str, list[int]]  # indices of each token in lower case
+    words: frozenset[str]  # the tokens in lower case without punctuation, which matches nothing
     quoted: NDArray[np.bool_]  # [L] True between a pair of double quotes
     flags: Floats  # [L, TOKEN_FLAGS] with the overlap columns 0
     units: Floats  # [L, D] see `unit_vectors`; 0 for punctuation and the most common words
-    numbers: Floats  # [GOAL_NUMBERS] the first numbers, nan after the last one
+    numbers: Floats  # the first numbers, at most GOAL_NUMBERS
     affixes: tuple[str, ...]  # quoted words in lower case
     month: tuple[int, int] | None  # year and month of the first date
     described: frozenset[str] | None  # words for the size, colour and shape of drawings; None without any
@@ -118,11 +121,16 @@ def read_text(text: str, vectors: Vectors) -> Text:
     """Read the text or value of an element."""
     words = tuple(TOKEN.findall(text))
     folded = tuple(word.lower() for word in words)
-    rows, hashes = np.full(WORDS, PADDING, dtype=np.int32), np.zeros(WORDS, dtype=np.int64)
-    rows[: len(words)] = [vectors.row(word) for word in words[:WORDS]]
-    hashes[: len(words)] = hashes_of(folded[:WORDS])
-    numbers = tuple(int(part) for part in _INTEGER.findall(text))
-    return Text(rows=rows, exact=words, folded=folded, hashes=hashes, number=_number(text, folded), numbers=numbers)
+    month = MONTHS.index(text.lower()) + 1 if text.lower() in MONTHS else 0
+    return Text(
+        exact=words,
+        folded=folded,
+        rows=tuple(vectors.row(word) for word in words[:WORDS]),
+        number=_number(text, folded),
+        numbers=tuple(int(part) for part in _INTEGER.findall(text)),
+        month=month,
+        year=int(text) if len(text) == 4 and text.isdecimal() else 0,
+    )
 
 
 @functools.lru_cache(maxsize=1 << 14)
@@ -131,24 +139,25 @@ def read_kind(tag: str, classes: str, attributes: str, colour: str, shape: str, 
     words = [*_TAG_WORDS.get(tag, ()), *shape.split()[:1]]
     if tag == "text" and len(drawn) == 1:
         words += ["digit", "number"] if drawn.isdigit() else ["letter"]
-    tag_hashes = np.zeros(TAG_WORDS, dtype=np.int64)
-    tag_hashes[: min(len(words), TAG_WORDS)] = hashes_of(words[:TAG_WORDS])
+    tag_words = tuple(words)
     words += colour_names(colour)
     names = [name for name in classes.split() if not _POINTED_AT.search(name)]
     for name in (" ".join(names), attributes):
         words += [word.lower() for word in _NAME_PART.findall(name)]
     words = list(dict.fromkeys(words))[:KIND_WORDS]
-    rows, hashes = np.full(KIND_WORDS, PADDING, dtype=np.int32), np.zeros(KIND_WORDS, dtype=np.int64)
-    rows[: len(words)] = [vectors.row(word) for word in words]
-    hashes[: len(words)] = hashes_of(words)
-    ids = [1 + zlib.crc32(name.encode()) % (CLASSES - 1) for name in names[:CLASS_SLOTS]]
-    return Kind(
-        rows=rows,
-        hashes=hashes,
-        tag_hashes=tag_hashes,
-        tag=zlib.crc32(tag.encode()) % TAGS,
-        classes=(*ids, *[0] * (CLASS_SLOTS - len(ids))),
-    )
+    ids = np.zeros(ELEMENT_IDS, dtype=np.int32)
+    ids[ELEMENT_KIND][: len(words)] = [vectors.row(word) for word in words]
+    ids[TAG] = zlib.crc32(tag.encode()) % TAGS
+    buckets = [1 + zlib.crc32(name.encode()) % (CLASSES - 1) for name in names[:CLASS_SLOTS]]
+    ids[CLASS][: len(buckets)] = buckets
+    return Kind(words=tuple(words), tag_words=tag_words, ids=ids, drawing=_drawing(tag, colour, shape, drawn))
+
+
+def _drawing(tag: str, colour: str, shape: str, drawn: str) -> frozenset[str] | None:
+    if tag != "text" and not shape:
+        return None
+    kind = {"shape", shape.split()[0]} if tag != "text" else {"digit" if drawn.isdigit() else "letter"}
+    return frozenset({*colour_names(colour), *kind})
 
 
 @functools.lru_cache(maxsize=1 << 12)
@@ -163,25 +172,22 @@ def read_goal(goal: Goal, vectors: Vectors) -> GoalText:
     flags[:, CAPITAL] = [token[:1].isupper() for token in tokens]
     flags[:, DIGIT] = [token[:1].isdigit() for token in tokens]
     folded = tuple(token.lower() for token in tokens)
-    hashes = np.where(flags[:, PUNCTUATION] == 0, hashes_of(folded), -1)
     rows = np.array([vectors.row(token) for token in tokens], dtype=np.int32)
     # The two most common words are in the last two rows of the table.
     rare = (rows >= FIRST_WORD + COMMON_ROWS) & (rows < len(vectors.table) - FIRST_WORD) & (flags[:, PUNCTUATION] == 0)
-    numbers = np.full(GOAL_NUMBERS, np.nan, dtype=np.float32)
-    found = _goal_numbers(goal.utterance)[:GOAL_NUMBERS]
-    numbers[: len(found)] = found
     date = _DATE.search(goal.utterance)
     single = ((word, _single_character(word)) for word in tokens[2:])
     return GoalText(
         rows=rows,
         exact=tokens,
         folded=folded,
-        hashes=hashes,
-        distinct=np.unique(hashes, return_index=True)[1],
+        places=_places(tokens),
+        folded_places=_places(folded),
+        words=frozenset(word for word in folded if word.isalnum()),
         quoted=quoted,
         flags=flags,
-        units=(unit_vectors(rows, vectors) * rare[:, None]).astype(np.float32),
-        numbers=numbers,
+        units=unit_vectors(rows.tolist(), vectors) * rare[:, None].astype(np.float32),
+        numbers=np.array(_goal_numbers(goal.utterance)[:GOAL_NUMBERS], dtype=np.float32),
         affixes=tuple(word for word, inside in zip(folded, quoted, strict=True) if inside and word.isalnum()),
         month=None if date is None else (int(date.group(2)), int(date.group(1))),
         described=_description(folded),
@@ -190,12 +196,24 @@ def read_goal(goal: Goal, vectors: Vectors) -> GoalText:
     )
 
 
-def unit_vectors(rows: NDArray[np.int32], vectors: Vectors) -> Floats:
-    """[..., D] centred word vectors of length 1; 0 for rows without a word."""
-    table = np.asarray(vectors.table)[rows] - _centre(vectors)  # indexing a memory map is slower
-    norm = np.linalg.norm(table, axis=-1, keepdims=True)
-    units: Floats = ((rows >= FIRST_WORD)[..., None] * table / np.maximum(norm, 1e-6)).astype(np.float32)
-    return units
+def _places(tokens: Sequence[str]) -> dict[str, list[int]]:
+    places: dict[str, list[int]] = {}
+    for index, token in enumerate(tokens):
+        places.setdefault(token, []).append(index)
+    return places
+
+
+def unit_vectors(rows: Iterable[int], vectors: Vectors) -> Floats:
+    """[R, D] centred word vectors of length 1; 0 for rows without a word."""
+    units = [_unit_vector(row, vectors) for row in rows]
+    return np.concatenate(units).reshape(len(units), -1) if units else np.zeros((0, vectors.table.shape[1]), np.float32)
+
+
+@functools.lru_cache(maxsize=1 << 14)
+def _unit_vector(row: int, vectors: Vectors) -> Floats:
+    """[D]"""
+    centred: Floats = np.asarray(vectors.table[row]) - _centre(vectors)
+    return centred * np.float32((row >= FIRST_WORD) / max(float(np.linalg.norm(centred)), 1e-6))
 
 
 @functools.lru_cache(maxsize=4)
@@ -204,25 +222,11 @@ def _centre(vectors: Vectors) -> Floats:
     return centre
 
 
-def hashes_of(words: Sequence[str]) -> Hashes:
-    """Python's own 64-bit hashes, which are only valid within this process."""
-    return np.array([hash(word) for word in words], dtype=np.int64)
-
-
-def occurrences(tokens: tuple[str, ...], words: tuple[str, ...]) -> Iterator[int]:
-    """The indices at which the complete sequence `words` starts in `tokens`."""
-    if words and words[0] in tokens:
-        for start in range(tokens.index(words[0]), len(tokens) - len(words) + 1):
-            if tokens[start : start + len(words)] == words:
-                yield start
-
-
-def description(tag: str, colour: str, shape: str, text: str, height: float) -> frozenset[str] | None:
-    """The words that describe a drawing of this height in px; None for other elements."""
-    if tag != "text" and not shape:
-        return None
-    kind = {"shape", shape.split()[0]} if tag != "text" else {"digit" if text.isdigit() else "letter"}
-    return frozenset({"small" if height < SMALL_PX else "large", *colour_names(colour), *kind})
+def occurrences(tokens: tuple[str, ...], places: Mapping[str, list[int]], words: tuple[str, ...]) -> Iterator[int]:
+    """The indices at which the complete sequence `words` starts in `tokens`, which are at `places`."""
+    for start in places.get(words[0], ()) if words else ():
+        if tokens[start : start + len(words)] == words:
+            yield start
 
 
 def _description(folded: tuple[str, ...]) -> frozenset[str] | None:

@@ -9,8 +9,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from giirl_core.nets.layout import SCREEN_RELATIONS
-from giirl_core.types import Page
+from giirl_core.nets.layout import (
+    ALIKE_COUNT,
+    GROUPED,
+    HEIGHT_PX,
+    LABELLED,
+    LEAF,
+    PAGE_FLAGS,
+    POSITION,
+    RANK,
+    RANK_LAST,
+    RANK_ONLY,
+    SCREEN_RELATIONS,
+    SIZE,
+    WIDTH_PX,
+)
 
 NONE = -1  # no label, no group
 LABEL_STEPS = 5  # the largest distance of a field from its label in the tree
@@ -20,22 +33,40 @@ VERTICAL_WEIGHT = 3.0  # a vertical pixel between a field and its label counts a
 BELOW_PX, BELOW_COST_PX = 4.0, 50.0  # labels are seldom below their field
 _FIELDS = ("input_", "textarea", "select")  # prefixes of tags of fields
 _NO_LABELS = frozenset({"button", "option", "textarea"})  # tags whose text is no label
+_PAGE_PX = np.array([WIDTH_PX, HEIGHT_PX, WIDTH_PX, HEIGHT_PX])
+_RANKS = np.arange(1, RANK.stop - RANK.start + 1)
 # Relations on the screen, of the element in the column to the element in the row of a table [E, E].
 _SAME_PLACE, _LEFT, _RIGHT, _ABOVE, _BELOW, _ELSEWHERE, _FALLING, _RISING = range(SCREEN_RELATIONS)
 
 
 def _screen_relation(code: int) -> int:
-    """The relation for the bits 8 same line, 4 same column, 2 to the left, 1 above."""
+    """The relation for the bits 16 slanted, 8 same line, 4 same column, 2 to the left, 1 above."""
     if code & 12 == 12:
         return _SAME_PLACE
     if code & 8:
         return _LEFT if code & 2 else _RIGHT
     if code & 4:
         return _ABOVE if code & 1 else _BELOW
+    if code & 16:
+        return _FALLING if code & 3 in (0, 3) else _RISING
     return _ELSEWHERE
 
 
-_SCREEN = np.array([_screen_relation(code) for code in range(16)], dtype=np.uint8)
+def _tree_relation(code: int) -> int:
+    """The relation for the bits 16 descendant or itself, 8 ancestor or itself, and the distance of at most 7 steps.
+
+    0 the same element, 1 parent, 2 other ancestor, 3 child, 4 other descendant, 5 to 10 others by distance.
+    """
+    steps = code & 7
+    if code & 24 == 24:
+        return 0
+    if code & 24:
+        return (1 if code & 8 else 3) + (steps > 1)
+    return max(steps, 2) + 3
+
+
+_SCREEN = np.array([_screen_relation(code) for code in range(32)], dtype=np.uint8)
+_TREE = np.array([SCREEN_RELATIONS * _tree_relation(code) for code in range(32)], dtype=np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,83 +75,124 @@ class Structure:
 
     relations: NDArray[np.uint8]  # [E, E] relation of the element in the column to that in the row, below RELATIONS
     label: NDArray[np.int64]  # [E] row of the text that labels a field, NONE for other elements
+    labelled: NDArray[np.int64]  # rows of the elements with a label
     group: NDArray[np.int64]  # [E] row of the nearest repeated ancestor, e.g. a row of a table; NONE without one
+    own_group: NDArray[np.int64]  # [E] the same, with its own row for elements without a group
+    kinds: Sequence[tuple[str, str]]  # [E] tag and first class
     rank: NDArray[np.int64]  # [E] from 1, among the elements with the same tag and first class
     alike: NDArray[np.int64]  # [E] number of elements with the same tag and first class
+    leaf: NDArray[np.bool_]  # [E] True for elements without children
+    height: NDArray[np.float32]  # [E] px
+    flags: NDArray[np.float32]  # [E, PAGE_FLAGS] of positions, ranks, labels and groups; 0 in other columns
 
 
-def structure_of(page: Page) -> Structure:
-    """The relations of the elements of a page, from the cache if only values or words of texts differ."""
-    kinds = tuple([(tag, classes.partition(" ")[0]) for tag, classes in zip(page.tag, page.classes, strict=True)])
-    has_text = tuple([text != "" for text in page.text])
-    return _structure(kinds, has_text, page.parent.astype(np.int16).tobytes(), page.box.astype(np.float32).tobytes())
+def structure_of(
+    tags: Sequence[str], classes: Sequence[str], has_text: Sequence[bool], parents: bytes, boxes: bytes
+) -> Structure:
+    """The relations of the elements of a page, from the cache if only values or words of texts differ.
+
+    `parents` are the bytes of int16 rows, `boxes` those of a float32 array [E, 4].
+    """
+    kinds = [(tag, names.partition(" ")[0]) for tag, names in zip(tags, classes, strict=True)]
+    return _structure(tuple(kinds), tuple(has_text), parents, boxes)
 
 
 @functools.lru_cache(maxsize=1 << 10)
-def _structure(kinds: tuple[tuple[str, str], ...], has_text: tuple[bool, ...], parent: bytes, box: bytes) -> Structure:
-    """The structure of a page from the tag and first class of each element, its parent and box."""
-    parents = np.frombuffer(parent, dtype=np.int16).tolist()
-    siblings: dict[tuple[int, tuple[str, str]], int] = {}
-    counts: dict[tuple[str, str], int] = {}
-    ranks = []
-    for at, kind in zip(parents, kinds, strict=True):
-        siblings[at, kind] = siblings.get((at, kind), 0) + 1
-        counts[kind] = counts.get(kind, 0) + 1
-        ranks.append(counts[kind])
-    group: list[int] = []
-    for at in parents:
-        repeated = at >= 0 and siblings[parents[at], kinds[at]] > 1
-        group.append(at if repeated else group[at] if at >= 0 else NONE)
-    tree, steps = _tree(parent)
-    boxes: NDArray[np.float32] = np.frombuffer(box, dtype=np.float32).reshape(-1, 4)
-    left, top, width, height = boxes.T
-    x, y = left + width / 2, top + height / 2
+def _structure(
+    kinds: tuple[tuple[str, str], ...], has_text: tuple[bool, ...], parents: bytes, boxes: bytes
+) -> Structure:
+    group, rank, alike = _ranks(kinds, np.frombuffer(parents, dtype=np.int16).tolist())
+    tree, steps, leaf = _tree(parents)
+    box: NDArray[np.float32] = np.frombuffer(boxes, dtype=np.float32).reshape(-1, 4)
+    half = box[:, 2:] / 2
+    centre = box[:, :2] + half
+    (x, y), (half_width, half_height) = centre.T, half.T
     right, down = x - x[:, None], y - y[:, None]  # from the row to the column
-    wide, high = (width + width[:, None]) / 2, (height + height[:, None]) / 2
+    wide, high = half_width + half_width[:, None], half_height + half_height[:, None]
     horizontal, vertical = np.abs(right), np.abs(down)
-    code = (vertical < high * LINE) * np.uint8(8) + (horizontal < wide * LINE) * np.uint8(4)
-    code += (right < 0) * np.uint8(2) + (down < 0) * np.uint8(1)
-    screen = _SCREEN[code]
     slanted = np.abs(horizontal - vertical) < DIAGONAL * np.maximum(horizontal, vertical)
-    slanted &= screen == _ELSEWHERE
-    falling = right * down > 0
-    screen[slanted & falling], screen[slanted & ~falling] = _FALLING, _RISING
+    bits = (slanted, vertical < high * LINE, horizontal < wide * LINE, right < 0, down < 0)
+    label = _labels([tag for tag, _ in kinds], has_text, steps, horizontal - wide, vertical - high, down)
     return Structure(
-        relations=tree + screen,
-        label=_labels([tag for tag, _ in kinds], has_text, steps, horizontal - wide, vertical - high, down),
-        group=np.array(group, dtype=np.int64),
-        rank=np.array(ranks, dtype=np.int64),
-        alike=np.array([counts[kind] for kind in kinds], dtype=np.int64),
+        relations=tree + _SCREEN[_code(bits)],
+        label=label,
+        labelled=np.flatnonzero(label != NONE),
+        group=group,
+        own_group=np.where(group == NONE, np.arange(len(kinds)), group),
+        kinds=kinds,
+        rank=rank,
+        alike=alike,
+        leaf=leaf,
+        height=box[:, 3],
+        flags=_flags(box, leaf, rank, alike, label, group),
     )
 
 
-@functools.lru_cache(maxsize=512)
-def _tree(parents: bytes) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """[E, E] SCREEN_RELATIONS * relation in the tree, and the number of steps in the tree between two elements.
+def _code(bits: Sequence[NDArray[np.bool_]]) -> NDArray[np.uint8]:
+    """Binary numbers, the most significant bit first."""
+    code = bits[0].view(np.uint8)
+    for bit in bits[1:]:
+        code = code + code + bit.view(np.uint8)
+    return code
 
-    Relations: 0 the same element, 1 parent, 2 other ancestor, 3 child, 4 other descendant, 5 to 10 others by distance.
-    """
-    parent = np.frombuffer(parents, dtype=np.int16).tolist()
-    above = np.zeros((len(parent), len(parent)), dtype=np.float32)  # 1 for ancestors and the element itself
-    for row, at in enumerate(parent):
+
+def _ranks(
+    kinds: Sequence[tuple[str, str]], parents: Sequence[int]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """The columns `group`, `rank` and `alike` of a structure."""
+    siblings: dict[tuple[int, tuple[str, str]], int] = {}
+    counts: dict[tuple[str, str], int] = {}
+    rank, group = [], []
+    for at, kind in zip(parents, kinds, strict=True):
+        siblings[at, kind] = siblings.get((at, kind), 0) + 1
+        counts[kind] = counts.get(kind, 0) + 1
+        rank.append(counts[kind])
+    for at in parents:
+        repeated = at >= 0 and siblings[parents[at], kinds[at]] > 1
+        group.append(at if repeated else group[at] if at >= 0 else NONE)
+    alike = [counts[kind] for kind in kinds]
+    return np.array(group, dtype=np.int64), np.array(rank, dtype=np.int64), np.array(alike, dtype=np.int64)
+
+
+def _flags(
+    box: NDArray[np.float32],
+    leaf: NDArray[np.bool_],
+    rank: NDArray[np.int64],
+    alike: NDArray[np.int64],
+    label: NDArray[np.int64],
+    group: NDArray[np.int64],
+) -> NDArray[np.float32]:
+    """[E, PAGE_FLAGS]"""
+    flags = np.zeros((len(box), PAGE_FLAGS), dtype=np.float32)
+    flags[:, POSITION] = box / _PAGE_PX
+    flags[:, LEAF], flags[:, LABELLED], flags[:, GROUPED] = leaf, label != NONE, group != NONE
+    flags[:, RANK] = rank[:, None] == _RANKS
+    flags[:, RANK_LAST], flags[:, RANK_ONLY], flags[:, ALIKE_COUNT] = rank == alike, alike == 1, np.log(alike)
+    largest = np.maximum(box[leaf, 2:].max(axis=0, initial=0.0), 1.0)
+    flags[:, SIZE] = np.log(np.clip(box[:, 2:] / largest, 0.02, 4.0))
+    return flags
+
+
+@functools.lru_cache(maxsize=512)
+def _tree(parents: bytes) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.bool_]]:
+    """[E, E] SCREEN_RELATIONS * relation, [E, E] number of steps between two elements in the tree, [E] leaves."""
+    parent = np.frombuffer(parents, dtype=np.int16)
+    above = np.eye(len(parent), dtype=np.float32)  # 1 for ancestors and the element itself
+    for row, at in enumerate(parent.tolist()):
         if at >= 0:
-            above[row] = above[at]
-        above[row, row] = 1.0
-    common = above @ above.T
-    depth = np.diagonal(common)
-    steps = depth[:, None] + depth[None, :] - 2 * common
-    tree = np.clip(steps, 2, 7) + 3
-    ancestor, descendant = common == depth[None, :], common == depth[:, None]
-    tree[ancestor] = np.where(steps[ancestor] == 1, 1, 2)
-    tree[descendant] = np.where(steps[descendant] == 1, 3, 4)
-    np.fill_diagonal(tree, 0)
-    return (tree * SCREEN_RELATIONS).astype(np.uint8), np.minimum(steps, 255).astype(np.uint8)
+            above[row] += above[at]
+    depth = above.sum(axis=1)
+    steps = (depth[:, None] + depth - 2 * (above @ above.T)).astype(np.int64)
+    ancestor = above.astype(np.int64)
+    leaf = np.ones(len(parent), dtype=np.bool_)
+    leaf[parent[parent >= 0]] = False
+    return _TREE[np.minimum(steps, 7) + 8 * ancestor + 16 * ancestor.T], steps, leaf
 
 
 def _labels(
     tags: Sequence[str],
     has_text: Sequence[bool],
-    steps: NDArray[np.uint8],
+    steps: NDArray[np.int64],
     horizontal_gap: NDArray[np.float32],
     vertical_gap: NDArray[np.float32],
     down: NDArray[np.float32],
