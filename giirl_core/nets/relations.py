@@ -177,13 +177,14 @@ def _flags(
 def _tree(parents: bytes) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.bool_]]:
     """[E, E] SCREEN_RELATIONS * relation, [E, E] number of steps between two elements in the tree, [E] leaves."""
     parent = np.frombuffer(parents, dtype=np.int16)
-    above = np.eye(len(parent), dtype=np.float32)  # 1 for ancestors and the element itself
+    common = np.zeros((len(parent), len(parent)), dtype=np.int64)  # number of ancestors, and itself, of both
     for row, at in enumerate(parent.tolist()):
         if at >= 0:
-            above[row] += above[at]
-    depth = above.sum(axis=1)
-    steps = (depth[:, None] + depth - 2 * (above @ above.T)).astype(np.int64)
-    ancestor = above.astype(np.int64)
+            common[row, :row] = common[:row, row] = common[at, :row]
+        common[row, row] = 1 + (common[at, at] if at >= 0 else 0)
+    depth = common.diagonal()
+    steps = depth[:, None] + depth - 2 * common
+    ancestor = common == depth
     leaf = np.ones(len(parent), dtype=np.bool_)
     leaf[parent[parent >= 0]] = False
     return _TREE[np.minimum(steps, 7) + 8 * ancestor + 16 * ancestor.T], steps, leaf
