@@ -80,8 +80,9 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
     flags[:, :PAGE_FLAGS] = read.flags
     flags[:, FOCUSED], flags[:, TAMPERED] = page.focused, page.tampered
     matches = match(read, text, flags)
-    elements, kinds, tokens = matches.nonzero()
-    match_counts = np.bincount(elements * MATCH_KINDS + kinds, minlength=count * MATCH_KINDS)
+    rows, tokens = np.divmod(matches.ravel().nonzero()[0], len(text.exact))  # nonzero is slow in more dimensions
+    elements, kinds = np.divmod(rows, MATCH_KINDS)
+    match_counts = np.bincount(rows, minlength=count * MATCH_KINDS)
     flags[:, MATCHED] = match_counts.reshape(count, MATCH_KINDS) > 0
     quoted = text.quoted[tokens]
     flags[elements[quoted], MATCHED_QUOTED.start + kinds[quoted]] = 1.0
@@ -102,7 +103,7 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
         group=read.structure.own_group,
         relations=read.structure.relations,
         match_ids=np.array((elements, kinds, tokens), dtype=np.int32).T,
-        match_weights=(1.0 / match_counts[elements * MATCH_KINDS + kinds]).astype(np.float32),
+        match_weights=(1.0 / match_counts[rows]).astype(np.float32),
     )
 
 

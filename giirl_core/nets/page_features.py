@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -72,7 +73,9 @@ class PageFeatures:
 def page_features(page: Page, vectors: Vectors) -> PageFeatures:
     """The features of a page, from the cache if a page with the same content was read before."""
     columns = (page.tag, page.text, page.value, page.classes, page.attributes, page.colour, page.shape)
-    return _page_features(columns, page.parent.astype(np.int16).tobytes(), page.box.astype(np.float32).tobytes(), vectors)
+    return _page_features(
+        columns, page.parent.astype(np.int16).tobytes(), page.box.astype(np.float32).tobytes(), vectors
+    )
 
 
 @functools.lru_cache(maxsize=1 << 10)
@@ -118,13 +121,14 @@ def _element(
     words, rows, number = own.folded, own.rows, own.number
     if entered is not None:
         words, rows = words + entered.folded, rows + entered.rows
-        number = entered.number if np.isnan(number) else number
+        number = entered.number if math.isnan(number) else number
     ids, flags = kind.ids.copy(), np.zeros(PAGE_FLAGS, dtype=np.float32)
     ids[ELEMENT_WORDS][: len(rows)] = rows[:WORDS]
     ids[TYPABLE] = flags[IS_FIELD] = tag in TYPABLE_TAGS
     flags[HAS_TEXT], flags[HAS_VALUE] = len(own.exact) > 0, entered is not None and len(entered.exact) > 0
     flags[CHECKED] = value == "checked"
-    flags[HAS_NUMBER], flags[NUMBER] = not np.isnan(number), np.clip(np.nan_to_num(number), -20, 40) / 10
+    if not math.isnan(number):
+        flags[HAS_NUMBER], flags[NUMBER] = 1.0, min(max(number, -20), 40) / 10
     return Element(
         alike=(tag, classes),
         text=own,

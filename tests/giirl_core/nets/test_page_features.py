@@ -12,7 +12,8 @@ from giirl_core.nets import layout
 from giirl_core.nets.colours import colour_names
 from giirl_core.nets.features import Features, featurise
 from giirl_core.nets.language import load_vectors
-from giirl_core.nets.relations import NONE, structure_of
+from giirl_core.nets.page_features import page_features
+from giirl_core.nets.relations import NONE, Structure
 from giirl_core.types import Goal, Page
 from tests.learner.samples import dense_matches, page, vectors
 
@@ -32,6 +33,10 @@ def matched(case_page: Page, utterance: str, kind: int) -> list[list[str]]:
     goal = Goal(utterance)
     table = dense_matches(featurise(case_page, goal, vectors()))[kind] > 0
     return [[token for token, found in zip(goal.tokens, row, strict=True) if found] for row in table]
+
+
+def structure(case_page: Page) -> Structure:
+    return page_features(case_page, vectors()).structure
 
 
 def boxes(*rows: tuple[float, float, float, float]) -> NDArray[np.float32]:
@@ -63,7 +68,7 @@ def test_whole_attributes_match_the_goal() -> None:
 def test_a_field_has_the_words_and_matches_of_its_label() -> None:
     case = page("div", "t:First name", "input_text", "div", "t:Age", "input_text", parent=(-1, 0, 0, -1, 3, 3))
     features = read(case, "Enter the First name")
-    assert structure_of(case).label.tolist() == [NONE, NONE, 1, NONE, NONE, 4]
+    assert structure(case).label.tolist() == [NONE, NONE, 1, NONE, NONE, 4]
     assert np.array_equal(features.element_ids[2, layout.ELEMENT_WORDS], features.element_ids[1, layout.ELEMENT_WORDS])
     assert matched(case, "Enter the First name", layout.LABEL_RUN)[2] == ["First", "name"]
     assert matched(case, "Enter the first thing", layout.LABEL_WORD)[2] == ["first"]
@@ -80,7 +85,7 @@ def test_elements_in_a_row_of_a_table_match_the_other_texts_of_the_row() -> None
 
 def test_the_rank_of_an_element_counts_elements_with_the_same_tag_and_class() -> None:
     case = page("a:x", "p", "a:y", "a:z")
-    assert structure_of(case).rank.tolist() == [1, 1, 2, 3]
+    assert structure(case).rank.tolist() == [1, 1, 2, 3]
     assert flags(case, "Go.", layout.RANK.start + 1) == [0, 0, 1, 0]
     assert flags(case, "Go.", layout.RANK_LAST) == [0, 1, 0, 1]
     assert flags(case, "Go.", layout.RANK_ONLY) == [0, 1, 0, 0]
@@ -164,7 +169,7 @@ def test_relations_tell_parents_children_and_neighbours_apart() -> None:
         page("div", "a:x", "a:y", "a:z", "a:w", parent=(-1, 0, 0, 0, 0)),
         box=boxes((0, 0, 100, 100), (0, 0, 10, 10), (30, 0, 10, 10), (0, 30, 10, 10), (30, 30, 10, 10)),
     )
-    codes = structure_of(case).relations
+    codes = structure(case).relations
     tree, screen = codes // layout.SCREEN_RELATIONS, codes % layout.SCREEN_RELATIONS
     assert tree[1].tolist() == [1, 0, 5, 5, 5]  # parent, itself, siblings
     assert tree[0].tolist() == [0, 3, 3, 3, 3]  # children
