@@ -53,8 +53,8 @@ def match(read: PageFeatures, goal: GoalText, flags: Floats) -> Matches:
             folded = element.text.folded
             flags[e, TEXT_FOLDED] = any(True for _ in occurrences(goal.folded, goal.folded_places, folded))
         if not goal.words.isdisjoint(element.kind.words):
-            common = goal.words.intersection(element.kind.words)
-            found += [(at + KIND_WORD) * length + index for word in common for index in goal.folded_places[word]]
+            named = goal.words.intersection(element.kind.words)
+            found += [(at + KIND_WORD) * length + index for word in named for index in goal.folded_places[word]]
         if element.value is not None:
             found += _run(goal, element.value, (at + VALUE_RUN) * length)
         if element.attributes is not None:

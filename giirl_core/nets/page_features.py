@@ -6,6 +6,7 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ from giirl_core.nets.layout import (
     WORDS,
 )
 from giirl_core.nets.reading import SMALL_PX, Floats, Ids, Kind, Text, read_kind, read_text, unit_vectors
-from giirl_core.nets.relations import NONE, Structure, structure_of
+from giirl_core.nets.relations import Structure, structure_of
 from giirl_core.types import TYPABLE_TAGS, Page
 
 _TOGGLES = frozenset({"input_checkbox", "input_radio"})  # tags of fields whose value is no text
@@ -73,9 +74,8 @@ class PageFeatures:
 def page_features(page: Page, vectors: Vectors) -> PageFeatures:
     """The features of a page, from the cache if a page with the same content was read before."""
     columns = (page.tag, page.text, page.value, page.classes, page.attributes, page.colour, page.shape)
-    return _page_features(
-        columns, page.parent.astype(np.int16).tobytes(), page.box.astype(np.float32).tobytes(), vectors
-    )
+    parents, boxes = page.parent.astype(np.int16), page.box.astype(np.float32)
+    return _page_features(columns, parents.tobytes(), boxes.tobytes(), vectors)
 
 
 @functools.lru_cache(maxsize=1 << 10)
@@ -94,7 +94,7 @@ def _page_features(
         if elements[e].takes_label:
             words[e] = elements[structure.label[e]].text.rows
             ids[e, ELEMENT_WORDS][: len(words[e])] = words[e]
-    counts = [len(rows) for rows in words]
+    counts = np.array([len(rows) for rows in words], dtype=np.int64)
     with_words = np.flatnonzero(counts)
     unit: dict[int, int] = {}
     return PageFeatures(
@@ -108,7 +108,7 @@ def _page_features(
         unit=np.array([unit.setdefault(row, len(unit)) for rows in words for row in rows], dtype=np.int64),
         units=unit_vectors(unit, vectors),
         with_words=with_words,
-        first_unit=(np.cumsum(counts) - counts)[with_words],
+        first_unit=(counts.cumsum() - counts)[with_words],
     )
 
 
@@ -144,7 +144,7 @@ def _element(
     )
 
 
-def _stack(rows: Sequence[NDArray], width: int, dtype: type) -> NDArray:
+def _stack(rows: Sequence[NDArray[Any]], width: int, dtype: type) -> NDArray[Any]:
     """[len(rows), width]; faster than np.stack."""
     return np.concatenate(rows).reshape(-1, width) if rows else np.zeros((0, width), dtype=dtype)
 

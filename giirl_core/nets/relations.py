@@ -142,7 +142,8 @@ def _ranks(
     """The columns `group`, `rank` and `alike` of a structure."""
     siblings: dict[tuple[int, tuple[str, str]], int] = {}
     counts: dict[tuple[str, str], int] = {}
-    rank, group = [], []
+    rank: list[int] = []
+    group: list[int] = []
     for at, kind in zip(parents, kinds, strict=True):
         siblings[at, kind] = siblings.get((at, kind), 0) + 1
         counts[kind] = counts.get(kind, 0) + 1
