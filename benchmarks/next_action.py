@@ -1,7 +1,7 @@
 # ruff: noqa: T201
 """Offline accuracy of cloning: how often a policy cloned from human recordings predicts the next action in others.
 
-    python -m benchmarks.next_action --demos FOLDER --updates 400 --seed 0 --json FILE
+    python -m benchmarks.next_action --demos FOLDER --updates 600 --seed 0 --json FILE
 
 One net learns from three of every four recordings of each task. The actions of the others are predicted, step by step,
 on the recorded pages. Two accuracies are reported. Strict: the same verb, row and typed text. Lenient: an action that
@@ -11,7 +11,6 @@ the task accepts as well (`accepted`). An episode is correct if all its steps ar
 from __future__ import annotations
 
 import argparse
-import copy
 import json
 import time
 from collections import defaultdict
@@ -33,13 +32,15 @@ from giirl_core.metrics import Metrics
 from giirl_core.nets.batch import collate
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.models import PolicyNet
-from giirl_core.nets.parameters import seal_net
+from giirl_core.nets.parameters import load_net, seal_net
+from giirl_core.nets.reward import build_policy
 from giirl_core.types import Action, Purpose, Trajectory, Verb
+from giirl_core.weights import Weights
 from learner.cloning import Cloner
-from learner.data import Example, featurise_trajectory
+from learner.data import Example, ExpertSampler, featurise_trajectory
+from learner.schedules import anneal
 
 COLLECTION = "2017-10-16_second-turk"
-EMA = 0.98  # decay of the moving average of the weights, for each update
 HELD_OUT = 4  # every fourth recording of a task is held out
 
 
@@ -103,73 +104,70 @@ def mean(scores: dict[str, dict[str, float]]) -> dict[str, float]:
     }
 
 
-def train(
-    config: Config, learned: Sequence[Example], updates: int, batch: int, seed: int, report: Any = None
-) -> tuple[PolicyNet, PolicyNet, float]:
-    """A cloned net, the same with averaged weights, and the CPU time of training per step in ms."""
+def train(config: Config, learned: Sequence[Trajectory], updates: int, seed: int) -> tuple[PolicyNet, float]:
+    """A cloned net, and the CPU time of training per step in ms."""
     torch.manual_seed(seed)
-    generator, rng = torch.Generator().manual_seed(seed), np.random.default_rng(seed)
-    net = PolicyNet(load_vectors(config.net.vectors), config.net)
-    net.train()
-    cloner = Cloner(config.cloning, net, generator, metrics=Metrics())
-    smooth = copy.deepcopy(net)
-    by_task: dict[str, list[Example]] = defaultdict(list)
-    for example in learned:
-        by_task[example.trajectory.task].append(example)
-    tasks = sorted(by_task)
+    vectors = load_vectors(config.net.vectors)
+    demos = ExpertSampler(learned, vectors, np.random.default_rng(seed))
+    net = PolicyNet(vectors, config.net).train()
+    cloner = Cloner(config.cloning, net, torch.Generator().manual_seed(seed), metrics=Metrics())
     steps, began = 0, time.process_time()
     for update in range(updates):
-        done = update / updates
-        warm = min(1.0, (update + 1) / 30)
-        for group in cloner.optimiser.param_groups:
-            group["lr"] = config.cloning.learning_rate * warm * (1 - done * (1 - config.cloning.final_lr_fraction))
-        some = [by_task[tasks[i]] for i in rng.choice(len(tasks), batch, replace=batch > len(tasks))]
-        drawn = [examples[rng.integers(len(examples))] for examples in some]
+        anneal(cloner, update / updates)
+        drawn = demos.sample(config.cloning.batch)
         steps += sum(len(example.features) for example in drawn)
         stats = cloner.update(drawn)
-        decay = min(EMA, (update + 1) / (update + 10))
-        with torch.no_grad():
-            for average, current in zip(smooth.parameters(), net.parameters(), strict=True):
-                average.lerp_(current, 1 - decay)
-        if report and (update + 1) % 50 == 0:
-            report(update + 1, stats, 1e3 * (time.process_time() - began) / steps)
-    return net, smooth, 1e3 * (time.process_time() - began) / steps
+        if (update + 1) % 50 == 0:
+            cost = 1e3 * (time.process_time() - began) / steps
+            print(f"{update + 1} loss {stats['p_loss']:.3f} {cost:.2f} ms/step", flush=True)
+    return net, 1e3 * (time.process_time() - began) / steps
 
 
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--demos", type=Path, required=True, help="folder of all collections of recordings")
-    parser.add_argument("--updates", type=int, default=400)
-    parser.add_argument("--batch", type=int, default=48, help="recordings in one update")
+    parser.add_argument("--updates", type=int, default=600)
+    parser.add_argument("--batch", type=int, default=CloningConfig().batch, help="recordings in one update")
     parser.add_argument("--rate", type=float, default=CloningConfig().learning_rate)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--tasks", nargs="*", help="only these")
     parser.add_argument("--play", type=int, default=0, help="also play this many pages of each task in Chrome")
-    parser.add_argument("--weights", type=Path, help="keep the net in this file")
+    parser.add_argument("--weights", type=Path, help="keep the net in this file; play that net if the file exists")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--mistakes", type=int, default=0, help="print this many mistakes of each of the worst tasks")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    config = replace(Config(), cloning=CloningConfig(learning_rate=options.rate))
-    began = time.process_time()
+    config = replace(Config(), cloning=CloningConfig(learning_rate=options.rate, batch=options.batch))
+    if options.weights and options.weights.exists():
+        net = build_policy(config)
+        load_net(net, Weights.seal(1, options.weights.read_bytes()))
+        result: dict[str, Any] = {}
+        tasks = options.tasks or sorted(find_recordings(options.demos, collections=[COLLECTION]))
+    else:
+        net, result = clone(config, options)
+        tasks = sorted(result["tasks"])
+    if options.play:
+        result["played"] = played = play_tasks(config, net, tasks, options.play)
+        for task in sorted(played, key=lambda task: played[task]):
+            print(f"played {task:32}{100 * played[task]:7.1f}")
+        print(f"played: {np.mean(list(played.values())):.4f}")
+    if options.json:
+        options.json.write_text(json.dumps(result, indent=1))
+
+
+def clone(config: Config, options: argparse.Namespace) -> tuple[PolicyNet, dict[str, Any]]:
+    """A cloned net and its accuracies."""
     learned, held_out = split([t for t in load(options.demos) if not options.tasks or t.task in options.tasks])
+    print(f"{len(learned)} + {len(held_out)} recordings", flush=True)
+    net, cost = train(config, learned, options.updates, options.seed)
     vectors = load_vectors(config.net.vectors)
-    examples = [featurise_trajectory(t, vectors) for t in learned]
-    tested = [featurise_trajectory(t, vectors) for t in held_out]
-    print(f"{len(learned)} + {len(held_out)} recordings, {time.process_time() - began:.0f} s", flush=True)
-
-    def report(update: int, stats: dict[str, float], cost: float) -> None:
-        print(f"{update} loss {stats['p_loss']:.3f} {cost:.2f} ms/step", flush=True)
-
-    raw, net, cost = train(config, examples, options.updates, options.batch, options.seed, report)
+    examples, tested = ([featurise_trajectory(t, vectors) for t in part] for part in (learned, held_out))
     guesses = predict(net, tested)
     scores = score(tested, guesses)
-    fitted = mean(score(examples, predict(net, examples)))
     result = {
         "held_out": mean(scores),
-        "last_weights": mean(score(tested, predict(raw, tested))),
-        "learned": fitted,
+        "learned": mean(score(examples, predict(net, examples))),
         "ms_per_step": round(cost, 3),
         "parameters": sum(p.numel() for p in net.parameters()),
         "tasks": scores,
@@ -178,20 +176,11 @@ def main() -> None:
     for task in worst:
         print(f"{task:32}" + "".join(f"{100 * value:7.1f}" for value in scores[task].values()))
     print({name: part for name, part in result.items() if name != "tasks"})
-    if options.json:
-        options.json.write_text(json.dumps(result, indent=1))
-    if options.weights:
-        options.weights.write_bytes(seal_net(net, 1).blob)
-    if options.play:
-        played = play_tasks(config, net, sorted(scores), options.play)
-        result["played"] = played
-        for task in sorted(played, key=lambda task: played[task]):
-            print(f"played {task:32}{100 * played[task]:7.1f}{100 * scores[task]['episode']:7.1f}")
-        print(f"played: {np.mean(list(played.values())):.4f}")
-        if options.json:
-            options.json.write_text(json.dumps(result, indent=1))
     if options.mistakes:
         print_mistakes(tested, guesses, worst[:16], options.mistakes)
+    if options.weights:
+        options.weights.write_bytes(seal_net(net, 1).blob)
+    return net, result
 
 
 def play_tasks(config: Config, net: PolicyNet, tasks: Sequence[str], episodes: int) -> dict[str, float]:

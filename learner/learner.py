@@ -88,7 +88,9 @@ class Learner:
 
     def bc_warmup(self) -> None:
         """Behavioural cloning for `policy.bc_warmup_updates` updates, to be called before the first iteration."""
-        for _ in range(self.config.policy.bc_warmup_updates):
+        updates = self.config.policy.bc_warmup_updates
+        for update in range(updates):
+            anneal(self.cloner, update / updates)
             self.cloner.update(self.demos.sample(self.config.cloning.batch))
         self.soft_q.update_target(1.0)
 
