@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, Literal
@@ -20,7 +21,7 @@ from giirl_core.nets.models import PolicyNet
 from giirl_core.nets.reward import RewardModel, episode_rewards
 from giirl_core.types import Action, Goal, Verb
 from learner.algorithms import LOOPS
-from learner.data import Replay, collate_steps, featurise_trajectory, last_step, steps_of
+from learner.data import Example, Replay, collate_steps, featurise_trajectory, last_step, steps_of
 from learner.discriminator import Discriminator
 from learner.learner import Learner
 from learner.soft_q import SoftQ
@@ -189,6 +190,7 @@ class Recorder:
             "true_reward",
             ["featurise(take)", "carried_rewards(featurise)", "p_update(featurise, carried_rewards)"],
         ),
+        ("cloning", ["expert(64)", "clone(expert)", "expert(64)", "clone(expert)"]),
         ("sqil", ["featurise(take)", "expert(64)", "soft_q(expert, featurise)"]),
         ("iq_learn", ["featurise(take)", "expert(64)", "soft_q(expert, featurise)"]),
     ],
@@ -266,6 +268,26 @@ def test_the_optimal_airl_reward_is_log_pi_where_expert_and_policy_act_alike(for
     gap = (learned - (logp if form == "airl" else 0.0))[frequent].abs().mean().item()
     wrong = (learned - (0.0 if form == "airl" else logp))[frequent].abs().mean().item()
     assert gap < wrong
+
+
+def test_the_learning_rate_falls_while_the_policy_is_cloned_before_the_first_iteration() -> None:
+    demonstrations = [episode.trajectory for episode in expert_episodes(1)]
+    config = Config(
+        net=NetConfig(width=16, vectors="hashed"),
+        policy=PolicyConfig(bc_warmup_updates=4),
+        cloning=CloningConfig(learning_rate=1e-3, final_lr_fraction=0.2, batch=1),
+    )
+    learner = Learner(config, demonstrations, Metrics())
+    rates: list[float] = []
+    update = learner.cloner.update
+
+    def record(expert: Sequence[Example]) -> dict[str, float]:
+        rates.append(learner.cloner.optimiser.param_groups[0]["lr"])
+        return update(expert)
+
+    learner.cloner.update = record  # type: ignore[method-assign]
+    learner.bc_warmup()
+    assert rates == pytest.approx([1e-3, 0.8e-3, 0.6e-3, 0.4e-3])
 
 
 def test_the_accuracy_schedule_lowers_the_rate_from_accuracy_1_to_one_half() -> None:
