@@ -32,7 +32,7 @@ from giirl_core.metrics import Metrics
 from giirl_core.nets.batch import collate
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.models import PolicyNet
-from giirl_core.nets.parameters import load_net, seal_net
+from giirl_core.nets.parameters import load_net, serialise_net
 from giirl_core.nets.reward import build_policy
 from giirl_core.types import Action, Purpose, Trajectory, Verb
 from giirl_core.weights import Weights
@@ -141,7 +141,7 @@ def main() -> None:
     config = replace(Config(), cloning=CloningConfig(learning_rate=options.rate, batch=options.batch))
     if options.weights and options.weights.exists():
         net = build_policy(config)
-        load_net(net, Weights.seal(1, options.weights.read_bytes()))
+        load_net(net, Weights.with_digest(1, options.weights.read_bytes()))
         result: dict[str, Any] = {}
         tasks = options.tasks or sorted(find_recordings(options.demos, collections=[COLLECTION]))
     else:
@@ -179,7 +179,7 @@ def clone(config: Config, options: argparse.Namespace) -> tuple[PolicyNet, dict[
     if options.mistakes:
         print_mistakes(tested, guesses, worst[:16], options.mistakes)
     if options.weights:
-        options.weights.write_bytes(seal_net(net, 1).blob)
+        options.weights.write_bytes(serialise_net(net, 1).blob)
     return net, result
 
 

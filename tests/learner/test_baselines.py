@@ -286,7 +286,7 @@ def test_the_learning_rate_falls_while_the_policy_is_cloned_before_the_first_ite
         return update(expert)
 
     learner.cloner.update = record  # type: ignore[method-assign]
-    learner.bc_warmup()
+    assert len([*learner.bc_warmup()]) == 4
     assert rates == pytest.approx([1e-3, 0.8e-3, 0.6e-3, 0.4e-3])
 
 
@@ -308,7 +308,7 @@ def test_learning_rates_and_entropy_decay_linearly() -> None:
     config = Config(
         iterations=101,
         net=NetConfig(width=16, vectors="hashed"),
-        policy=PolicyConfig(learning_rate=1.0, final_lr_fraction=0.2, entropy=0.5, final_entropy=0.4),
+        policy=PolicyConfig(learning_rate=1.0, final_lr_fraction=0.2, entropy=0.5, final_entropy_fraction=0.4),
         cloning=CloningConfig(learning_rate=2.0, final_lr_fraction=0.2),
     )
     learner = Learner(config, demonstrations, Metrics())
