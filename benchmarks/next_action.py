@@ -145,7 +145,7 @@ def main() -> None:
         result: dict[str, Any] = {}
         tasks = options.tasks or sorted(find_recordings(options.demos, collections=[COLLECTION]))
     else:
-        net, result = clone(config, options)
+        net, result = train_and_score(config, options)
         tasks = sorted(result["tasks"])
     if options.play:
         result["played"] = played = play_tasks(config, net, tasks, options.play)
@@ -156,7 +156,7 @@ def main() -> None:
         options.json.write_text(json.dumps(result, indent=1))
 
 
-def clone(config: Config, options: argparse.Namespace) -> tuple[PolicyNet, dict[str, Any]]:
+def train_and_score(config: Config, options: argparse.Namespace) -> tuple[PolicyNet, dict[str, Any]]:
     """A cloned net and its accuracies."""
     learned, held_out = split([t for t in load(options.demos) if not options.tasks or t.task in options.tasks])
     print(f"{len(learned)} + {len(held_out)} recordings", flush=True)
