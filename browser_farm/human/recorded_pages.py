@@ -17,6 +17,8 @@ MAX_NUMBER = 1e6
 # Elements that are left out with everything in them.
 HIDDEN_TAGS = frozenset({"br", "script", "style", "head", "link", "meta", "title", "template", "noscript"})
 HIDDEN_IDS = frozenset({"query", "reward-display", "sync-task-cover", "click-canvas", "attention-canvas"})
+# Text for screen readers. It names the option below the mouse, which reveals a person's next action.
+HIDDEN_CLASS = "ui-helper-hidden-accessible"
 UNWRAPPED_IDS = frozenset({"wrap", "mturk_form"})  # left out, but their children are rows
 TEXT_TAG = "t"
 CONTROL_TAGS = ("button", "input", "textarea", "select")  # prefixes of tags that have the browser's own colour
@@ -123,7 +125,7 @@ def flatten(body: Node) -> Screen:
 
     def walk(children: Sequence[Node], parent: int) -> None:
         for node in children:
-            if node.tag in HIDDEN_TAGS or node.id in HIDDEN_IDS:
+            if node.tag in HIDDEN_TAGS or node.id in HIDDEN_IDS or HIDDEN_CLASS in node.classes:
                 continue
             if node.id in UNWRAPPED_IDS:
                 walk(node.children, parent)

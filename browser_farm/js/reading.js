@@ -33,6 +33,9 @@ const reading = (() => {
   const overflows = (element) => element.firstElementChild !== null && element.getClientRects().length > 0
     && getComputedStyle(element).overflow === 'visible';
 
+  // Text for screen readers only is in an element of one pixel that shows none of it.
+  const isClipped = (element, box) => box.width <= 1 && box.height <= 1 && getComputedStyle(element).overflow === 'hidden';
+
   const collapse = (text) => text.replace(/\s+/g, ' ').trim().toWellFormed();
 
   function valueOf(element) {
@@ -126,6 +129,7 @@ const reading = (() => {
         if (overflows(element)) visitChildren(element, parent);
         return;
       }
+      if (isClipped(element, box)) return;
       const isInput = element instanceof HTMLInputElement;
       const isLeaf = element.firstElementChild === null;
       let row = parent;

@@ -50,6 +50,15 @@ def test_classes_of_the_element_below_the_mouse_are_left_out(tmp_path: Path) -> 
     assert page.classes[1:] == ("tab", "ui-menu-item-wrapper")
 
 
+def test_text_for_screen_readers_is_left_out(tmp_path: Path) -> None:
+    hidden = element(
+        "DIV", 6, element("DIV", 7, text="Paris"), classes="ui-helper-hidden-accessible", box=(-1, 9, 1, 1)
+    )
+    recording = RecordingBuilder(body(element("A", 5, text="Paris"), hidden), "Click Paris.")
+    recording.click(5)
+    assert trajectory_of(recording, tmp_path).pages[0].tag == ("div", "a")
+
+
 def test_boxes_are_those_before_scrolling(tmp_path: Path) -> None:
     items = [element("LI", 10 + i, text=f"item {i}", box=(0, 10 + 20 * i, 160, 20)) for i in range(4)]
     recording = RecordingBuilder(body(element("UL", 4, *items, box=(0, 50, 160, 80))), "Click item 3.")
