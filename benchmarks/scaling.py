@@ -13,9 +13,9 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from giirl.statistics import STREAK
 from giirl_core.progress import Display
 
+STREAK = 50  # training episodes of a task
 TASKS = ("click-button", "enter-text")
 LEVEL = 0.95  # success of the last STREAK training episodes of every task
 ITERATIONS = 400  # of a run that does not reach LEVEL earlier
@@ -42,8 +42,8 @@ def measure(
         count: {name: round(fmean(run[name] for run in runs), 3) for name in runs[0]} for count, runs in found.items()
     }
     first = means[str(actors[0])]
-    for count, row in means.items():
-        more = int(count) / actors[0]
+    for name, row in means.items():
+        more = int(name) / actors[0]
         row["share_of_linear"] = round(first["seconds"] / row["seconds"] / more, 3)
         row["steps_share_of_linear"] = round(row["steps_per_s"] / first["steps_per_s"] / more, 3)
     return {

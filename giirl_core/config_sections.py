@@ -201,19 +201,21 @@ class PolicyConfig:
     value_loss_weight: Weight = 0.5
     """Weight of the squared error of the value. [relative]"""
     bc_warmup_updates: Annotated[int, Field(ge=0)] = 0
-    """Updates of behavioural cloning before the first rollout. [updates]"""
+    """Updates of behavioural cloning before the first rollout. Their learning rate falls linearly. [updates]"""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
 class CloningConfig:
     """Behavioural cloning on the same policy net."""
 
-    learning_rate: PositiveFloat = 1e-3
+    learning_rate: PositiveFloat = 3e-3
     """Learning rate of the first iteration (Adam)."""
     final_lr_fraction: Share = 0.1
     """Learning rate of the last iteration, as a fraction of the first. In the grid it does not fall."""
+    updates: Positive = 2
+    """Gradient updates per iteration. [updates]"""
     batch: Positive = 64
-    """Demonstrations in one update, all their steps. There is one update per iteration. [episodes]"""
+    """Demonstrations in one update, all their steps. [episodes]"""
     rename_prob: Share = 0.5
     """As `discriminator.rename_prob`."""
     position_jitter: Weight = 0.1

@@ -97,12 +97,14 @@ class Page:
     tampered: NDArray[np.bool_]  # [E] acted on earlier in this episode
     colour: tuple[str, ...] = ()  # [E] fill colour of an SVG shape, or colour in an element's own style; else ""
     shape: tuple[str, ...] = ()  # [E] kind of an SVG shape and its corners in px, "triangle 10,40 20,20 30,40"; else ""
+    attributes: tuple[str, ...] = ()  # [E] id, placeholder, alt and aria-label of the element, space-separated
 
     def __post_init__(self) -> None:
         rows = len(self.tag)
-        for name in ("colour", "shape"):  # most pages have no shapes: () stands for a column of ""
+        for name in ("colour", "shape", "attributes"):  # optional columns: () stands for a column of ""
             object.__setattr__(self, name, getattr(self, name) or ("",) * rows)
-        for name in ("text", "value", "classes", "ref", "parent", "box", "focused", "tampered", "colour", "shape"):
+        arrays = ("ref", "parent", "box", "focused", "tampered")
+        for name in ("text", "value", "classes", "colour", "shape", "attributes", *arrays):
             if len(getattr(self, name)) != rows:
                 raise ValueError(f"Page.{name} has {len(getattr(self, name))} rows, Page.tag has {rows}")
         if self.box.shape != (rows, 4):

@@ -93,7 +93,9 @@ class Learner:
 
         Yields the statistics of each update.
         """
-        for _ in range(self.config.policy.bc_warmup_updates):
+        updates = self.config.policy.bc_warmup_updates
+        for update in range(updates):
+            anneal(self.cloner, update / updates)
             yield self.cloner.update(self.demos.sample(self.config.cloning.batch))
         self.soft_q.update_target(1.0)
 

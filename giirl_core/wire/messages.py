@@ -31,7 +31,7 @@ from giirl_core.types import Episode, Outcome
 from giirl_core.wire import columns as cols
 from giirl_core.wire.columns import Column, Columns, read_field
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 MAGIC = b"GIRL"
 PREFIX = struct.Struct("<4sIQ")  # magic, schema version, checksum
 LENGTH = struct.Struct("<Q")
