@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import tempfile
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 
 from selenium import webdriver
@@ -36,7 +37,7 @@ FLAGS = (
     "--disable-extensions",
     # Features for people that each start a process, or download something.
     "--disable-features=Translate,OptimizationHints,MediaRouter,DialMediaRouteProvider,"
-    "SpareRendererForSitePerProcess,WebUIOmniboxPopup,WebUIOmniboxAimPopup",
+    "SpareRendererForSitePerProcess,WebUIOmniboxPopup,WebUIOmniboxAimPopup,AutofillServerCommunication",
     "--disable-gpu",
     "--disable-hang-monitor",
     "--disable-ipc-flooding-protection",
@@ -105,10 +106,11 @@ class Chrome:
     `debugger_address` is host:port and `first_target` the tab that Chrome opens at its start. `hub_url` is an empty
     file:// page, which may script the task pages.
 
-    Raises ChromeMissing or LaunchFailed.
+    Raises ChromeMissing or LaunchFailed. `flags` are added to FLAGS; of two with the same name the last one holds.
     """
 
-    def __init__(self, *, headless: bool, no_sandbox: bool | None, timeout_s: float) -> None:
+    def __init__(self, *, headless: bool, no_sandbox: bool | None, timeout_s: float, flags: Sequence[str] = ()) -> None:
+        self._extra_flags = tuple(flags)
         binary = find("GIIRL_CHROME", CHROMES, "Chrome")
         driver = find("GIIRL_CHROMEDRIVER", DRIVERS, "chromedriver")
         parent = _short_directory()
@@ -172,7 +174,7 @@ class Chrome:
             watchdog.cancel()
 
     def _flags(self, headless: bool, no_sandbox: bool | None) -> list[str]:
-        flags = [*FLAGS, f"--user-data-dir={self.directory}/profile"]
+        flags = [*FLAGS, *self._extra_flags, f"--user-data-dir={self.directory}/profile"]
         if headless:
             flags.append("--headless=new")
         if os.geteuid() == 0 if no_sandbox is None else no_sandbox:

@@ -20,6 +20,7 @@ from giirl.cli.report import report
 from giirl.cli.reproduce import reproduce
 from giirl.cli.reproduce_web import commands
 from giirl.cli.reward import reward
+from giirl.cli.tasks import tasks
 from giirl.doctor import checks
 from giirl.run.folder import RunFolder
 from giirl.run.worlds import world_of
@@ -135,6 +136,7 @@ giirl.add_command(demos)
 giirl.add_command(reproduce)
 giirl.add_command(report)
 giirl.add_command(reward)
+giirl.add_command(tasks)
 for study in commands():
     reproduce.add_command(study)
 

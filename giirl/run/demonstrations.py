@@ -10,8 +10,8 @@ from pathlib import Path
 from actors.agents import ExpertAgent, RandomAgent
 from actors.browser import open_browser
 from actors.rollouts import play_pages
-from browser_farm.experts import expert
 from browser_farm.human.recordings import ImportReport, find_recordings, import_recordings
+from browser_farm.mixed import expert_of
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.goals import is_held_out
@@ -52,13 +52,13 @@ def _read_source(config: Config, metrics: Metrics, display: Display) -> tuple[li
 def make(config: Config, metrics: Metrics, display: Display) -> list[Episode]:
     """Successful episodes of the scripted experts, on pages that training and evaluation never use."""
     for task in config.tasks:
-        expert(task)  # a task without an expert is an error before a browser starts
+        expert_of(task)  # a task without an expert is an error before a browser starts
     pages = config.demos.per_task
     with (
         closing(open_browser(config, metrics)) as browser,
         display.job("making demonstrations", pages * len(config.tasks)) as job,
     ):
-        played = play_pages(config, browser, ExpertAgent(expert), Purpose.DEMONSTRATE, pages, metrics, job=job)
+        played = play_pages(config, browser, ExpertAgent(expert_of), Purpose.DEMONSTRATE, pages, metrics, job=job)
     won = [episode for episode in played if episode.outcome.success]
     return sorted(won, key=lambda episode: (episode.trajectory.task, episode.trajectory.seed))
 

@@ -1,0 +1,16 @@
+"""Screenshots of a page of one's own."""
+
+from __future__ import annotations
+
+import base64
+
+from browser_farm.sites.routines import Routine
+from browser_farm.sites.session import Session
+
+
+def png_of(session: Session, box: tuple[float, float, float, float], px: float, scale: float) -> Routine[bytes]:
+    """PNG of a box whose unit is `px` CSS px, with at least `scale` pixels per unit and one per CSS px; b"" if none."""
+    left, top, width, height = (length * px for length in box)
+    clip = {"x": left, "y": top, "width": width, "height": height, "scale": max(1.0, scale / px)}
+    reply = yield from session.call("Page.captureScreenshot", {"format": "png", "clip": clip, "optimizeForSpeed": True})
+    return base64.b64decode(reply["data"]) if reply else b""
