@@ -48,6 +48,7 @@
   }
 
   watch(document);
+  window.addEventListener('scroll', () => note(document), { capture: true, passive: true });
 
   const isLoading = (root) => root.nodeType === 9 && root.readyState !== 'complete';
 

@@ -110,6 +110,7 @@ class Episode:
             reason = yield from self._answer(command)
         else:
             reason = yield from self._act(command)
+        self.session.traffic.touch()  # the page is quiet if nothing comes of the action for a while
         page = yield from self._look()
         if self.session.file_chooser:
             reason = FILES_REFUSED
