@@ -9,6 +9,7 @@ from pathlib import Path
 from actors.agents import PolicyAgent
 from actors.browser import open_browser
 from actors.rollouts import play_pages
+from giirl.run.folder import RUNTIME_FILE
 from giirl.run.throughput import StreamState
 from giirl_core.config import Config
 from giirl_core.goals import is_held_out
@@ -18,8 +19,6 @@ from giirl_core.nets.parameters import load_net
 from giirl_core.nets.reward import build_policy, build_reward
 from giirl_core.types import Episode, Purpose
 from giirl_core.weights import Weights
-
-RUNTIME = "runtime.json"  # in a checkpoint
 
 
 class SerialRuntime:
@@ -35,7 +34,7 @@ class SerialRuntime:
         self._reward_version = 0
         self._played = 0  # pages of each task so far
         if resume is not None:
-            self._played = json.loads((resume / RUNTIME).read_text())["played"]
+            self._played = json.loads((resume / RUNTIME_FILE).read_text())["played"]
 
     def publish(self, policy: Weights, reward: Weights) -> None:
         self._agent.load(policy)
@@ -65,7 +64,7 @@ class SerialRuntime:
         ]
 
     def stream(self) -> StreamState:
-        """Nothing is stale or idle where everything is played when it is taken."""
+        """No episode is stale and no tab is idle: episodes are played when the learner takes them."""
         return StreamState()
 
     def addresses(self) -> dict[str, str]:
@@ -74,10 +73,10 @@ class SerialRuntime:
 
     def save(self, folder: Path) -> None:
         """Write which pages come next."""
-        (folder / RUNTIME).write_text(json.dumps({"played": self._played}))
+        (folder / RUNTIME_FILE).write_text(json.dumps({"played": self._played}))
 
     def committed(self) -> None:
-        """Nothing to do: no episode is in flight between two steps."""
+        """Nothing to do: no episode is in flight between two learner steps."""
 
     def drain(self) -> None:
         """Nothing to do: there are no other processes."""

@@ -42,26 +42,26 @@ class Runtime(Protocol):
     """Plays and scores episodes: in this thread, in processes on this machine, or in a Ray cluster."""
 
     def publish(self, policy: Weights, reward: Weights) -> None:
-        """Use these weights from now on. The first call starts what plays."""
+        """Use these weights from now on. The first call starts the actors."""
 
     def take(self, episodes: int) -> list[Episode]:
-        """At least so many new episodes, with rewards; an empty list when the run should stop."""
+        """Wait for at least `episodes` new episodes with rewards. An empty list means that the run should stop."""
 
     def stream(self) -> StreamState:
-        """How the stream of episodes does."""
+        """The number of stale episodes and the idle fraction of the actors."""
         ...
 
     def addresses(self) -> dict[str, str]:
         """Metrics addresses "host:port" of the other processes, by name."""
 
     def save(self, folder: Path) -> None:
-        """Write the runtime's part of a checkpoint."""
+        """Write the runtime's part of a checkpoint into `folder`."""
 
     def committed(self) -> None:
-        """The last `save` is on the disk."""
+        """Called when the checkpoint of the last `save` is complete on disk."""
 
     def drain(self) -> None:
-        """Stop playing and collect what is finished."""
+        """Stop playing and collect the finished episodes."""
 
     def close(self) -> None:
         """End all processes and close the browser."""
@@ -86,7 +86,7 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
         elif ALGORITHMS[config.algorithm].reward == "frozen":
             learner.load_reward(reward_of_run(Path(config.reward_from)))
         else:
-            learner.bc_warmup()
+            _warm_up(learner, config.policy.bc_warmup_updates, display)
         session = Session(config, folder, learner, metrics, stop, own, display)
         with stopping(stop):
             session.learn(resume)
@@ -106,6 +106,15 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
         "flow": {**session.throughput.total(), "service_reward_share": learner.discriminator.service_share},
         "parameters_sha256": learner.hash(),
     }
+
+
+def _warm_up(learner: Learner, updates: int, display: Display) -> None:
+    """Start from behavioural cloning, if the config asks for it."""
+    if not updates:
+        return
+    with display.job("behavioural cloning", updates) as job:
+        for stats in learner.bc_warmup():
+            job.advance(note=f"loss {stats['p_loss']:.3f}")
 
 
 class Session:
