@@ -140,9 +140,9 @@ class MixedFarm:
             results[tab] = replace(results[tab], observation=observation)
         return results
 
-    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
+    def screenshot(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
         """A screenshot of a tab."""
-        return self._farms[self._farm_of.get(tab, 0)].picture(tab, box, scale=scale)
+        return self._farms[self._farm_of.get(tab, 0)].screenshot(tab, box, scale=scale)
 
     def close(self) -> None:
         """Close both."""

@@ -16,7 +16,7 @@ from browser_farm.sites.episode import FILES_REFUSED, Episode
 from browser_farm.sites.login import login_calls
 from browser_farm.sites.origins import origin_of, resolver_rules
 from browser_farm.sites.page import WIDTH
-from browser_farm.sites.picture import png_of
+from browser_farm.sites.screenshot import png_of
 from browser_farm.sites.routines import Routine, run_all
 from browser_farm.sites.servers import FolderServer, Refuser
 from browser_farm.sites.session import Session
@@ -117,7 +117,7 @@ class SiteFarm:
             results[tab] = replace(results[tab], observation=observation)
         return results
 
-    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
+    def screenshot(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
         """PNG of a part of a tab: left, top, width, height in the units of `Page.box`, 160 to the viewport's width.
 
         It has at least `scale` pixels per unit, and one per CSS px. b"" for a tab that does not answer.

@@ -18,9 +18,9 @@ def tasks() -> None:
 @tasks.command()
 @click.argument("file", type=click.Path())
 @SEED
-@click.option("--picture", type=OutputFile(), help="Write a PNG of the first page to this file.")
+@click.option("--screenshot", type=OutputFile(), help="Write a PNG of the first page to this file.")
 @JSON
-def check(file: str, seed: int, picture: Path | None, json_file: Path | None) -> None:
+def check(file: str, seed: int, screenshot: Path | None, json_file: Path | None) -> None:
     """Open a task file and show drawn instructions, the first page and its elements.
 
     What is wrong is said in one line.
@@ -28,8 +28,8 @@ def check(file: str, seed: int, picture: Path | None, json_file: Path | None) ->
     from giirl.task_check import check_task, elements_table
 
     found = check_task(file, seed)
-    if picture is not None:
-        picture.write_bytes(found.png)
+    if screenshot is not None:
+        screenshot.write_bytes(found.png)
     save_json(json_file, found.summary())
     for sentence in found.instructions:
         click.echo(sentence)

@@ -168,6 +168,6 @@ def test_two_tabs_step_at_the_same_time(player: Player) -> None:
     row_of(after(results[1]), "Delete it?")
 
 
-def test_a_picture_shows_the_page(player: Player) -> None:
+def test_a_screenshot_shows_the_page(player: Player) -> None:
     player.open("form")
-    assert player.farm.picture(0, (0.0, 0.0, 160.0, 120.0)).startswith(b"\x89PNG")
+    assert player.farm.screenshot(0, (0.0, 0.0, 160.0, 120.0)).startswith(b"\x89PNG")
