@@ -66,7 +66,7 @@ def check_task(name: str, seed: int) -> TaskCheck:
     with SiteFarm([name], tabs=1) as farm:
         observation = farm.reset({TAB: EpisodeSpec(task=name, seed=seeds[0])})[TAB]
         width, height = task.file.viewport
-        png = farm.screenshot(TAB, (0.0, 0.0, WIDTH, WIDTH * height / width))
+        png = farm.screenshot(TAB, (0.0, 0.0, WIDTH, WIDTH * height / width), scale=width / WIDTH)
         left_out = farm.left_out(TAB)
         refused = dict(farm.refused)
     sentences = tuple(dict.fromkeys(draw(task, seed).goal.utterance for seed in seeds))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import TracebackType
 from typing import TypeVar
@@ -16,8 +16,8 @@ from browser_farm.sites.episode import FILES_REFUSED, Episode
 from browser_farm.sites.login import login_calls
 from browser_farm.sites.origins import origin_of, resolver_rules
 from browser_farm.sites.page import WIDTH
-from browser_farm.sites.screenshot import png_of
 from browser_farm.sites.routines import Routine, run_all
+from browser_farm.sites.screenshot import png_of
 from browser_farm.sites.servers import FolderServer, Refuser
 from browser_farm.sites.session import Session
 from browser_farm.sites.task_file import SiteTask, load_task
@@ -64,7 +64,7 @@ class SiteFarm:
         self._episodes: dict[int, Episode] = {}
         self._lost: dict[int, str] = {}  # tab -> why its episode was lost, until the next step reports it
         self._chrome: Chrome | None = None
-        self._tools_: DevTools | None = None
+        self._devtools: DevTools | None = None
         self._refuser = Refuser()
         self._folders: dict[str, FolderServer] = {}
         self._addresses = {name: self._address_of(task) for name, task in self._tasks.items()}
@@ -120,7 +120,7 @@ class SiteFarm:
     def screenshot(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
         """PNG of a part of a tab: left, top, width, height in the units of `Page.box`, 160 to the viewport's width.
 
-        It has at least `scale` pixels per unit, and one per CSS px. b"" for a tab that does not answer.
+        It has `scale` pixels per unit, at least one for two CSS px. b"" for a tab that does not answer.
         """
         if tab not in self._episodes:
             return b""
@@ -143,13 +143,13 @@ class SiteFarm:
 
     # ---- episodes
 
-    def _check(self, tabs: Mapping[int, object], episodes: object) -> None:
-        if self._tools_ is None:
+    def _check(self, tabs: Iterable[int], episodes: Iterable[EpisodeSpec]) -> None:
+        if self._devtools is None:
             raise RuntimeError("this SiteFarm is closed")
         for tab in tabs:
             if not 0 <= tab < self.tabs:
                 raise ValueError(f"there is no tab {tab}: wanted 0 to {self.tabs - 1}")
-        for spec in episodes:  # type: ignore[attr-defined]
+        for spec in episodes:
             if spec.task not in self._tasks:
                 raise ValueError(f"{spec.task!r} is not a task of this farm: it has {', '.join(self._tasks)}")
 
@@ -211,16 +211,13 @@ class SiteFarm:
         return self._run(routines)
 
     def _session(self, task: SiteTask, address: str) -> Session:
-        def on_refused(refused: str) -> None:
-            self._refuser.count(refused)
-
         return Session(
             self._tools,
             proxy=self._refuser.address,
             origins=frozenset({origin_of(address), *(origin.rstrip("/") for origin in task.file.origins)}),
             viewport=task.file.viewport,
             timeout_s=self._call_timeout_s,
-            on_refused=on_refused,
+            on_refused=self._refuser.count,
         )
 
     def _run(self, routines: Mapping[int, Routine[T]]) -> dict[int, T | Failure]:
@@ -244,8 +241,8 @@ class SiteFarm:
 
     @property
     def _tools(self) -> DevTools:
-        assert self._tools_ is not None
-        return self._tools_
+        assert self._devtools is not None
+        return self._devtools
 
     def _address_of(self, task: SiteTask) -> str:
         """The address of a task's first page. Local files are served by the farm, a folder on a port of its own."""
@@ -267,12 +264,12 @@ class SiteFarm:
             headless=self._headless, no_sandbox=self._no_sandbox, timeout_s=self._launch_timeout_s, flags=flags
         )
         url = browser_url(self._chrome.debugger_address, timeout_s=self._launch_timeout_s)
-        self._tools_ = DevTools(url, timeout_s=self._launch_timeout_s, on_event=self._on_event)
+        self._devtools = DevTools(url, timeout_s=self._launch_timeout_s, on_event=self._on_event)
 
     def _end_chrome(self) -> None:
-        if self._tools_ is not None:
-            self._tools_.close()
-            self._tools_ = None
+        if self._devtools is not None:
+            self._devtools.close()
+            self._devtools = None
         if self._chrome is not None:
             self._chrome.end()
             self._chrome = None
