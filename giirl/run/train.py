@@ -217,10 +217,8 @@ class Session:
         self._metrics.reward_version.set(step + 1)
         self.env_steps += sum(len(episode.trajectory) for episode in self._rollouts)
         self.episodes += len(self._rollouts)
-        outcomes: dict[str, list[int]] = {task: [] for task in self._recent}
-        for episode in self._rollouts:
-            if episode.trajectory.task in self._recent:
-                outcomes[episode.trajectory.task].append(int(episode.outcome.success))
+        won = [(episode.trajectory.task, int(episode.outcome.success)) for episode in self._rollouts]
+        outcomes = {task: [success for name, success in won if name == task] for task in self._recent}
         lags = [step - episode.trajectory.policy_version for episode in self._rollouts]
         self.throughput.add(lags, sum(len(episode.trajectory) for episode in self._rollouts), self._runtime.stream())
         rates = self.throughput.recent()
