@@ -80,7 +80,8 @@ class Config:
     reward_from: Place = ""
     """With `algorithm=frozen`, and only there: the run whose learned reward is used."""
     tasks: Annotated[tuple[str, ...], Field(min_length=1)] = DEFAULT_TASKS
-    """Tasks to train and evaluate on, with one policy and one reward for all."""
+    """Tasks to train and evaluate on, with one policy and one reward for all: names of MiniWoB tasks, task files of
+    own pages (`tasks/invoices.toml`), or folders of them (`tasks/`)."""
     held_out_goals: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Fraction of all instructions that training and demonstrations never contain."""
     iterations: Positive = 300

@@ -91,6 +91,11 @@ class Metrics:
             "Number of browser recoveries: one for each broken tab, one for each relaunch of a dead browser.",
             "cause",
         )
+        self.page_limits = self._counter(
+            "giirl_page_limits_total",
+            "Number of elements left out of large pages, and of requests and file inputs refused, on own pages.",
+            "what",
+        )
 
     def _define_delivery(self) -> None:
         self.trajectories_received = self._counter(

@@ -7,6 +7,7 @@ import os
 import shutil
 import tempfile
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -45,7 +46,7 @@ FLAGS = (
     "--disable-extensions",
     # Features for people that each start a process, or download something.
     "--disable-features=Translate,OptimizationHints,MediaRouter,DialMediaRouteProvider,"
-    "SpareRendererForSitePerProcess,WebUIOmniboxPopup,WebUIOmniboxAimPopup",
+    "SpareRendererForSitePerProcess,WebUIOmniboxPopup,WebUIOmniboxAimPopup,AutofillServerCommunication",
     "--disable-gpu",
     "--disable-hang-monitor",
     "--disable-ipc-flooding-protection",
@@ -120,10 +121,20 @@ class Chrome:
     `debugger_address` is host:port and `first_target` the tab that Chrome opens at its start. `hub_url` is a page that
     may script the task pages: an empty file, or `base_url` if a server has them.
 
+    `extra_flags` are added to FLAGS; of two with the same name the last one holds.
+
     Raises CannotLaunch or LaunchFailed, and ValueError for a wrong GIIRL_CHROME_SANDBOX.
     """
 
-    def __init__(self, *, headless: bool, sandbox: Sandbox, timeout_s: float, base_url: str = "") -> None:
+    def __init__(
+        self,
+        *,
+        headless: bool,
+        sandbox: Sandbox,
+        timeout_s: float,
+        base_url: str = "",
+        extra_flags: Sequence[str] = (),
+    ) -> None:
         with_sandbox = uses_sandbox(sandbox)
         self._binary = find("GIIRL_CHROME", CHROMES, "Chrome")
         self._program = find("GIIRL_CHROMEDRIVER", DRIVERS, "chromedriver")
@@ -138,7 +149,7 @@ class Chrome:
         self._connection: RemoteConnection | None = None
         self._server = urlsplit(base_url).hostname  # None unless a server has the pages
         try:
-            self._launch(self._options(headless, with_sandbox))
+            self._launch(self._options(headless, with_sandbox, extra_flags))
             hub = self.directory / "hub.html"
             hub.write_text("<!DOCTYPE html>", encoding="utf-8")
             self.hub_url = base_url if self._server else hub.as_uri()
@@ -199,10 +210,10 @@ class Chrome:
         message = f"{program} did not start{when}: {why}{f'; {cause.fix}' if cause else ''}"
         return CannotLaunch(message) if cause and cause.lasting else LaunchFailed(message)
 
-    def _options(self, headless: bool, with_sandbox: bool) -> webdriver.ChromeOptions:
+    def _options(self, headless: bool, with_sandbox: bool, extra_flags: Sequence[str]) -> webdriver.ChromeOptions:
         options = webdriver.ChromeOptions()
         options.binary_location = str(self._binary)
-        flags = [*FLAGS, f"--user-data-dir={self.directory}/profile"]
+        flags = [*FLAGS, *extra_flags, f"--user-data-dir={self.directory}/profile"]
         if headless:
             flags.append("--headless=new")
         if self._server:

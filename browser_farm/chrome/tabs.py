@@ -6,7 +6,7 @@ import base64
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import tenacity
@@ -23,6 +23,23 @@ MAX_BACKOFF_S = 5.0
 PROCESSES = 2  # renderers that share the tabs, so that one page computes while another is read
 MAX_TABS_PER_PROCESS = 16  # they crash together
 OPENING_PERIODS = 4  # a document may take this many times the timeout of a call to open
+
+
+def try_launching(launch: Callable[[], None]) -> None:
+    """Launch a Chrome, again after a failure.
+
+    RuntimeError after 3 attempts, or after the first if another would fail alike.
+    """
+    attempts = tenacity.Retrying(
+        stop=tenacity.stop_after_attempt(LAUNCH_ATTEMPTS),
+        wait=tenacity.wait_random_exponential(multiplier=0.5, max=MAX_BACKOFF_S),
+        retry=tenacity.retry_if_exception_type((LaunchFailed, BrowserGone, TimeoutError)),
+    )
+    try:
+        attempts(launch)
+    except tenacity.RetryError as error:
+        last = error.last_attempt.exception()
+        raise RuntimeError(f"Chrome did not start in {LAUNCH_ATTEMPTS} attempts: {last}") from last
 
 
 class Tabs:
@@ -63,18 +80,9 @@ class Tabs:
     def launch(self) -> None:
         """End the current Chrome, if any, and start another with its tabs.
 
-        RuntimeError after 3 attempts, or after the first if another would fail alike.
+        RuntimeError as `try_launching`.
         """
-        attempts = tenacity.Retrying(
-            stop=tenacity.stop_after_attempt(LAUNCH_ATTEMPTS),
-            wait=tenacity.wait_random_exponential(multiplier=0.5, max=MAX_BACKOFF_S),
-            retry=tenacity.retry_if_exception_type((LaunchFailed, BrowserGone, TimeoutError)),
-        )
-        try:
-            attempts(self._launch_once)
-        except tenacity.RetryError as error:
-            last = error.last_attempt.exception()
-            raise RuntimeError(f"Chrome did not start in {LAUNCH_ATTEMPTS} attempts: {last}") from last
+        try_launching(self._launch_once)
 
     def close(self) -> None:
         if self._devtools is not None:

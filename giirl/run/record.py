@@ -9,6 +9,7 @@ from contextlib import closing
 
 from browser_farm.chrome.devtools import BrowserGone
 from browser_farm.human.recorder import Interrupted, Recorder
+from browser_farm.sites.task_file import is_site
 from browser_farm.tasks import page_url
 from giirl_core.progress import Display
 from giirl_core.types import Episode, EpisodeSpec, Purpose, page_seed
@@ -20,6 +21,10 @@ def record(tasks: Sequence[str], per_task: int, seed: int, display: Display) -> 
     Ctrl-C or closing the window ends the recording early. ValueError without a screen.
     """
     for task in tasks:
+        if is_site(task):
+            raise ValueError(
+                f"{task} cannot be recorded: wanted a MiniWoB task; its scripted expert makes demonstrations"
+            )
         page_url(task)
         if task.startswith("flight."):
             raise ValueError(f"{task} cannot be recorded: its site is in a frame, wanted a task with a single page")

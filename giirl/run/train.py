@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
+from actors.browser import measured_tasks
 from giirl.run.demonstrations import collect_demonstrations
 from giirl.run.evaluate import evaluate
 from giirl.run.folder import RunFolder
@@ -137,7 +138,7 @@ class Session:
         self._rollouts: list[Episode] = []  # of the current step
         self._consistent = True  # False between take and observe, when a checkpoint would lose rollouts
         self._targets: dict[str, str] = {}
-        self._recent = {task: deque[int](maxlen=WINDOW) for task in config.tasks}
+        self._recent = {task: deque[int](maxlen=WINDOW) for task in measured_tasks(config)}
         self.throughput = Throughput()
         self._since_s = time.monotonic()
         self.seconds_before = 0.0  # of the sessions before this one was resumed
@@ -215,9 +216,8 @@ class Session:
         self._metrics.reward_version.set(step + 1)
         self.env_steps += sum(len(episode.trajectory) for episode in self._rollouts)
         self.episodes += len(self._rollouts)
-        outcomes: dict[str, list[int]] = {task: [] for task in self._config.tasks}
-        for episode in self._rollouts:
-            outcomes[episode.trajectory.task].append(int(episode.outcome.success))
+        won = [(episode.trajectory.task, int(episode.outcome.success)) for episode in self._rollouts]
+        outcomes = {task: [success for name, success in won if name == task] for task in self._recent}
         lags = [step - episode.trajectory.policy_version for episode in self._rollouts]
         self.throughput.add(lags, sum(len(episode.trajectory) for episode in self._rollouts), self._runtime.stream())
         rates = self.throughput.recent()
