@@ -119,10 +119,12 @@ def browser() -> Check:
         from browser_farm.farm import ChromeFarm
 
         with ChromeFarm(tabs=1) as farm:
-            page = farm.reset({0: EpisodeSpec(task="click-test", seed=0)})[0]
+            opened = farm.reset({0: EpisodeSpec(task="click-test", seed=0)})
+            if 0 not in opened:
+                raise RuntimeError(farm.unopened[0])
     except (ImportError, RuntimeError, ValueError) as error:
         return Check(name=name, ok=False, found=" ".join(str(error).split()), fix=fix)
-    return Check(name=name, ok=True, found=f"click-test says {page.goal.utterance!r}", fix=fix)
+    return Check(name=name, ok=True, found=f"click-test says {opened[0].goal.utterance!r}", fix=fix)
 
 
 def dependencies() -> list[Dependency]:
