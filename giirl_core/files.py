@@ -36,8 +36,10 @@ MENDS = {
 }
 
 
-def explain(error: OSError) -> str:
-    """What failed, where, and how to mend it, in one line without the error's number."""
+def explain(error: Exception) -> str:
+    """What failed. An error of the operating system without its number, with the place and how to mend it."""
+    if not isinstance(error, OSError):
+        return str(error)
     place = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""
     mend = MENDS.get(error.errno or 0)
     return f"{place}{error.strerror or error}" + (f"; {mend}" if mend else "")

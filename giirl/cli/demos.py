@@ -104,9 +104,9 @@ def import_(
 
     episodes, report = import_folder(folder, tasks, per_task, collections or None, Display())
     try:
-        save_json(json_file, report.summary())
         _save(out, episodes, wanted=None)
     finally:
+        save_json(json_file, report.summary())
         for line in report.lines():
             click.echo(line)
     if report.unreadable:
@@ -125,7 +125,7 @@ def stats(files: tuple[Path, ...]) -> None:
             wrong += [f"{file} is damaged at {one}" for one in damage]
             Display().table(stats_table(str(file), episodes))
         except (ValueError, OSError) as error:
-            wrong.append(explain(error) if isinstance(error, OSError) else str(error))
+            wrong.append(explain(error))
     if len(wrong) > 1:
         raise ValueError(f"{len(wrong)} faults, the first: {wrong[0]}")
     if wrong:

@@ -17,7 +17,7 @@ from rich.table import Column, Table
 from giirl.cli.actors import actors
 from giirl.cli.bench import bench
 from giirl.cli.demos import demos
-from giirl.cli.options import JSON, RUN, Place, save_and_show
+from giirl.cli.options import JSON, RUN, Place, place, save_and_show
 from giirl.cli.report import report
 from giirl.cli.reproduce import reproduce
 from giirl.cli.reproduce_web import commands
@@ -159,7 +159,7 @@ def _split(config: str | None, overrides: tuple[str, ...], runtime: str | None) 
     if config is not None and "=" in config:
         changes.insert(0, config)
     elif config is not None:
-        path = Path(os.path.expanduser(config))  # noqa: PTH111 - keeps "~nobody"
+        path = place(config)
     if runtime is not None:
         changes.append(f"runtime={runtime}")
     return path, changes
@@ -194,8 +194,7 @@ def main() -> Never:
         _say(f"this command needs {package}, which is not installed: pip install 'giirl[{EXTRAS[package]}]'")
         sys.exit(1)
     except (ValueError, RuntimeError, OSError) as error:
-        text = explain(error) if isinstance(error, OSError) else str(error)
-        _say(" ".join(text.split()) or type(error).__name__)
+        _say(" ".join(explain(error).split()) or type(error).__name__)
         sys.exit(1)
     sys.exit(0)
 

@@ -15,8 +15,13 @@ from giirl_core.files import writable, write_json
 from giirl_core.progress import Display
 
 
+def place(text: str) -> Path:
+    """The path that a user wrote; ~ is the home folder. A user who does not exist, as in ~nobody, is part of a name."""
+    return Path(os.path.expanduser(text))  # noqa: PTH111 - Path.expanduser raises for such a user
+
+
 class Place(click.Path):
-    """A file or folder; ~ is the home folder, also where the shell leaves it as it is: --out=~/a.json."""
+    """A file or folder. The shell leaves ~ as it is in --out=~/a.json."""
 
     name = "path"
 
@@ -24,7 +29,7 @@ class Place(click.Path):
         super().__init__(path_type=Path)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        return Path(os.path.expanduser(str(super().convert(value, param, ctx))))  # noqa: PTH111 - keeps "~nobody"
+        return place(str(super().convert(value, param, ctx)))
 
 
 class OutputFile(Place):

@@ -46,7 +46,7 @@ def reproduce_all(context: click.Context, demos: Path | None, seeds: int, out: P
         try:
             context.invoke(command, json_file=file, **{key: value for key, value in given.items() if key in known})
         except (ValueError, RuntimeError, OSError) as error:  # the other studies do not depend on this one
-            failed.append(f"{name}: {explain(error) if isinstance(error, OSError) else error}")
+            failed.append(f"{name}: {explain(error)}")
     if failed:
         raise RuntimeError(f"{len(failed)} studies failed, the first is {failed[0]}; the same command tries again")
 
@@ -96,7 +96,9 @@ def _reproduce(
     base = (*base_settings(study, demos), f"runtime={'local' if alone else 'serial'}", *changes)
     runs = plan(base, study.variants, seeds, ROOT)
     ROOT.mkdir(parents=True, exist_ok=True)
-    figure = writable((json_file or ROOT / f"{name}.json").with_suffix(".png")) if study.curves else None
+    json_path = json_file or ROOT / f"{name}.json"
+    picture = json_path.with_name(f"{json_path.name.removesuffix('.json')}.png")
+    figure = writable(picture) if study.curves else None
     with folder_lock(ROOT):
         run_all(runs, jobs=jobs, display=display)
         if study.evaluates_reward:

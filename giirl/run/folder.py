@@ -102,7 +102,7 @@ class RunFolder:
             yield
             return
         with folder_lock(self.path):
-            if self._begun_with and self.config_file.read_text(encoding="utf-8") != self._begun_with:
+            if self._begun_with and not self.saved and self.config_file.read_text(encoding="utf-8") != self._begun_with:
                 raise ValueError(f"another process began a run in {self.path}: choose another run=FOLDER")
             self._held = True
             try:
