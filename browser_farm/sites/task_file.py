@@ -83,7 +83,7 @@ class Login:
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
-class Wait:
+class WaitRule:
     """When a step is over: no request is under way and the page has not changed for a while."""
 
     quiet_ms: Milliseconds = 100.0
@@ -118,7 +118,7 @@ class TaskFile:
     end: Condition = Condition()
     success: Success = Success()
     login: Login = Login()
-    wait: Wait = Wait()
+    wait: WaitRule = WaitRule()
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
