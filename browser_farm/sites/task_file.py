@@ -206,6 +206,10 @@ def _check(task: SiteTask) -> None:
     page = task.local_page
     if page is not None and not page.is_file():
         raise ValueError(f"address is {file.address!r}: wanted http://..., or an HTML file, and {page} is none")
+    if page is not None and not page.resolve().is_relative_to(task.folder.resolve()):
+        raise ValueError(
+            f"address is {file.address!r}: wanted an HTML file in the folder of the task file, or below it"
+        )
     for name, request in (("begin.request", file.begin.request), ("success.request", file.success.request)):
         method, _, target = request.partition(" ")
         if request and (method not in METHODS or not target):
