@@ -78,7 +78,7 @@ def result_table(result: dict[str, Any]) -> Table:
     """For each task: success of the random baseline, success with its interval, and the figure of the thesis."""
     table = Table(title=f"greedy success on fresh pages, {result['algorithm']}, seed {result['seed']}")
     for name, side in (("task", "left"), ("random", "right"), ("success", "right"), ("95 %", "right")):
-        table.add_column(name, justify=side)  # type: ignore[arg-type]
+        table.add_column(name, justify=side, overflow="fold")  # type: ignore[arg-type]
     table.add_column("episodes", justify="right")
     table.add_column("thesis", justify="right")
     for task, row in result["tasks"].items():
