@@ -186,9 +186,7 @@ class Episode:
         success = self.task.file.success
         if not success:
             return float(done)
-        won = self.session.dialog is None or not Condition.__bool__(success)
-        if won:
-            won = yield from self.holds(success)
+        won = yield from self.holds(success)
         if won and success.command:
             won = (yield from self._command(success.command)) == 0
         if won and success.request:

@@ -205,12 +205,7 @@ class SiteFarm:
         for tab, spec in specs.items():
             self._end(tab)
             task, address = self._tasks[spec.task], self._addresses[spec.task]
-            try:
-                session = self._session(task, address)
-            except BrowserGone:
-                self._relaunch()
-                return {}
-            self._episodes[tab] = episode = Episode(task, spec, session, address)
+            self._episodes[tab] = episode = Episode(task, spec, self._session(task, address), address)
             routines[tab] = episode.begin(list(login_calls(task, episode.address)))
         return self._run(routines)
 

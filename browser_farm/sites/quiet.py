@@ -8,7 +8,7 @@ from typing import Any
 
 from browser_farm.sites.routines import Routine, TabFailed, Wait
 from browser_farm.sites.session import Session
-from browser_farm.sites.task_file import Wait as WaitRule
+from browser_farm.sites.task_file import WaitRule
 
 SHOWN_REQUESTS = 2  # in a message
 

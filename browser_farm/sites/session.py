@@ -39,8 +39,7 @@ class Session:
     ) -> None:
         self._tools, self._timeout_s, self._viewport = tools, timeout_s, viewport
         self._origins, self._on_refused = origins, on_refused
-        created = {"disposeOnDetach": True, "proxyServer": proxy, "proxyBypassList": proxy_bypass(sorted(origins))}
-        self._creating = tools.send(BROWSER, "Target.createBrowserContext", created)
+        self._proxy = proxy
         self.context = self.target = self.id = ""
         self.dialog: Dialog | None = None
         self.crashed = False
@@ -56,7 +55,9 @@ class Session:
 
     def open(self, setup: Sequence[tuple[str, Json]] = ()) -> Routine[None]:
         """Create the context and an empty page with our scripts; `setup` are further calls in the page."""
-        self.context = str((yield from self._needed(self._creating, "Target.createBrowserContext"))["browserContextId"])
+        rules = proxy_bypass(sorted(self._origins))
+        context = {"disposeOnDetach": True, "proxyServer": self._proxy, "proxyBypassList": rules}
+        self.context = str((yield from self._browser("Target.createBrowserContext", context))["browserContextId"])
         width, height = self._viewport
         page = {"url": "about:blank", "browserContextId": self.context, "width": width, "height": height}
         self.target = str((yield from self._browser("Target.createTarget", page))["targetId"])

@@ -83,7 +83,7 @@ class Login:
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
-class Wait:
+class WaitRule:
     """When a step is over: no request is under way and the page has not changed for a while."""
 
     quiet_ms: Milliseconds = 100.0
@@ -118,7 +118,7 @@ class TaskFile:
     end: Condition = Condition()
     success: Success = Success()
     login: Login = Login()
-    wait: Wait = Wait()
+    wait: WaitRule = WaitRule()
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
@@ -206,6 +206,10 @@ def _check(task: SiteTask) -> None:
     page = task.local_page
     if page is not None and not page.is_file():
         raise ValueError(f"address is {file.address!r}: wanted http://..., or an HTML file, and {page} is none")
+    if page is not None and not page.resolve().is_relative_to(task.folder.resolve()):
+        raise ValueError(
+            f"address is {file.address!r}: wanted an HTML file in the folder of the task file, or below it"
+        )
     for name, request in (("begin.request", file.begin.request), ("success.request", file.success.request)):
         method, _, target = request.partition(" ")
         if request and (method not in METHODS or not target):

@@ -85,7 +85,7 @@ def result_table(result: dict[str, Any]) -> Table:
         caption=missing_pages(result["tasks"]) or None,
     )
     for name, side in (("task", "left"), ("random", "right"), ("success", "right"), ("95 %", "right")):
-        table.add_column(name, justify=side)  # type: ignore[arg-type]
+        table.add_column(name, justify=side, overflow="fold")  # type: ignore[arg-type]
     table.add_column("episodes", justify="right")
     table.add_column("thesis", justify="right")
     for task, row in result["tasks"].items():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
 from giirl_core.types import Verb
@@ -58,3 +60,24 @@ def test_a_link_to_a_foreign_origin_leaves_the_page_as_it_is(player: Player) -> 
 
 def test_a_service_worker_reaches_no_foreign_origin_either(player: Player) -> None:
     row_of(player.open("worker-page"), "refused")
+
+
+def test_ended_episodes_leave_no_page_and_no_context_behind(player: Player) -> None:
+    for seed in range(5):
+        player.open("other", seed=seed)
+        player.act(Verb.WAIT, 0, last=True)
+    player.open("form")
+    deadline = time.monotonic() + 20
+    while len(pages_of(player)) > 2 and time.monotonic() < deadline:  # Chrome's first page, and that of the episode
+        time.sleep(0.05)
+    assert len(pages_of(player)) <= 2
+    found = player.farm._tools.call("", "Target.getBrowserContexts", timeout_s=5)["browserContextIds"]
+    assert player.farm._episodes[0].session.context in found
+    assert len(found) == len(player.farm._episodes)
+
+
+def pages_of(player: Player) -> list[str]:
+    """The addresses of the pages that Chrome has, without those of the other tab's episode."""
+    other = {episode.session.target for tab, episode in player.farm._episodes.items() if tab}
+    targets = player.farm._tools.call("", "Target.getTargets", timeout_s=5)["targetInfos"]
+    return [one["url"] for one in targets if one["type"] == "page" and one["targetId"] not in other]

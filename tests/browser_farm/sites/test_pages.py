@@ -130,8 +130,10 @@ def test_an_episode_ends_by_its_condition_and_success_is_measured_then(player: P
         seen = player.open(task)
         result = player.act(Verb.TYPE, ref_of(seen, "Customer", "input_text"), "Ada")
         assert (result.done, result.raw_reward) == (False, 0.0)
+        checks = sum("/check/" in request for request in player.site.requests)
         result = player.click(after(result), "Save")
         assert (result.done, result.raw_reward, result.observation) == (True, reward, None)
+        assert sum("/check/" in request for request in player.site.requests) == checks + 1  # not before the end
 
 
 def test_at_the_step_limit_a_failure_is_zero_and_the_next_episode_follows(player: Player) -> None:

@@ -37,6 +37,10 @@ def write(folder: Path, text: str, name: str = "task.toml") -> str:
         (GOOD.replace('["Ada", "Grace"]', "7"), "fields.name is 7: wanted a list"),
         (GOOD.replace("name =", "seed ="), "fields.seed is no name for a field"),
         (GOOD.replace("http://127.0.0.1:8000/", "page.html"), "address is 'page.html': wanted http"),
+        (
+            GOOD.replace("http://127.0.0.1:8000/", "../outside.html"),
+            "wanted an HTML file in the folder of the task file",
+        ),
         ('origins = "127.0.0.1:8001"\n' + GOOD, "origins has '127.0.0.1:8001': wanted scheme://host:port"),
         (GOOD + '[begin]\nrequest = "/reset"\n', "begin.request is '/reset': wanted a method and an address"),
         (GOOD + '[begin]\ncommand = ["reset", "{who}"]\n', "begin.command has {who}, which is no field"),
@@ -45,7 +49,9 @@ def write(folder: Path, text: str, name: str = "task.toml") -> str:
     ],
 )
 def test_a_wrong_task_file_is_one_line_with_its_name(tmp_path: Path, text: str, message: str) -> None:
-    name = write(tmp_path, text)
+    (tmp_path / "outside.html").write_text("<p>outside</p>")
+    (tmp_path / "tasks").mkdir()
+    name = write(tmp_path / "tasks", text)
     with pytest.raises(ValueError, match=message) as error:
         load_task(name)
     assert name in str(error.value)
