@@ -59,7 +59,7 @@ def _run(actors: int, delay_s: float, seed: int) -> dict[str, Any]:
         run = Path(folder) / "run"
         settings = [f"tasks={json.dumps(list(TASKS))}", f"iterations={ITERATIONS}", f"run={run}", f"seed={seed}"]
         settings += ["runtime=local", f"actors.count={actors}", f"actors.step_delay_s={delay_s}"]
-        with (Path(folder) / "log").open("w+") as log:
+        with (Path(folder) / "log").open("w+", encoding="utf-8") as log:
             command = [sys.executable, "-m", "giirl", "train", *settings]
             process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
             try:
@@ -84,7 +84,7 @@ def _until_learned(process: subprocess.Popen[bytes], curve: Path) -> list[dict[s
     """The points of the curve up to the first one at LEVEL; none if the process ends before or takes too long."""
     since_s = time.monotonic()
     while process.poll() is None and time.monotonic() - since_s < TIMEOUT_S:
-        lines = curve.read_text().split("\n")[:-1] if curve.exists() else []
+        lines = curve.read_text(encoding="utf-8").split("\n")[:-1] if curve.exists() else []
         points = [json.loads(line) for line in lines]
         recent = {task: deque[int](maxlen=STREAK) for task in TASKS}
         for index, point in enumerate(points):

@@ -16,7 +16,7 @@ from browser_farm.chrome.answers import Failure, decode, pixels
 from browser_farm.chrome.devtools import BrowserGone
 from browser_farm.chrome.tabs import Tabs
 from browser_farm.tasks import needs_fresh_document, page_url
-from giirl_core.config_sections import Sandbox
+from giirl_core.config.sections import Sandbox
 from giirl_core.types import Command, EpisodeSpec, Goal, Observation, StepResult, Verb
 
 OPEN_ATTEMPTS = 4  # in the tab as it is, in a new document, in a new renderer process, in a new Chrome

@@ -13,7 +13,7 @@ from browser_farm.farm import ChromeFarm
 from browser_farm.sites.farm import SiteFarm
 from browser_farm.sites.task_file import SiteTask, is_site, load_task
 from browser_farm.tasks import page_url
-from giirl_core.config_sections import Sandbox
+from giirl_core.config.sections import Sandbox
 from giirl_core.types import Action, Browser, Command, EpisodeSpec, Observation, StepResult
 
 Expert = Callable[[Observation], Action]

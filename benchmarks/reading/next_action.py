@@ -155,7 +155,7 @@ def main() -> None:
             print(f"played {task:32}{100 * played[task]:7.1f}")
         print(f"played: {np.mean(list(played.values())):.4f}")
     if options.json:
-        options.json.write_text(json.dumps(result, indent=1))
+        options.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
 
 
 def train_and_score(config: Config, options: argparse.Namespace) -> tuple[PolicyNet, dict[str, Any]]:

@@ -27,7 +27,7 @@ from browser_farm.chrome.launch_errors import (
     find_cause_of_chrome,
     find_cause_of_driver,
 )
-from giirl_core.config_sections import Sandbox
+from giirl_core.config.sections import Sandbox
 from giirl_core.files import short_temporary_folder
 
 CHROMES = ("chromium", "chromium-browser", "google-chrome-stable", "google-chrome", "chrome")

@@ -16,7 +16,7 @@ from browser_farm.chrome.answers import Failure, parse_evaluation
 from browser_farm.chrome.devtools import BROWSER, BrowserGone, DevTools, Json, Reply, browser_url
 from browser_farm.chrome.hub import Hub, Tab
 from browser_farm.chrome.launcher import Chrome, LaunchFailed
-from giirl_core.config_sections import Sandbox
+from giirl_core.config.sections import Sandbox
 
 LAUNCH_ATTEMPTS = 3
 MAX_BACKOFF_S = 5.0

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from browser_farm.gym.adapter import ActionDict, Fields, MiniWoBAdapter, ObservationDict
 from browser_farm.gym.launch import checked_render_mode, checked_task, is_due, open_farm
 from browser_farm.gym.slot import EnvSlot, ResetOptions, checked_seed
-from giirl_core.config_sections import Sandbox
+from giirl_core.config.sections import Sandbox
 
 ATTENTION_CELLS = 20  # rows and columns that core.visualizeAttention can place
 StepTuple = tuple[ObservationDict, float, bool, bool, dict[str, Any]]

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from browser_farm.farm import ChromeFarm
 from browser_farm.gym.elements import ELEMENTS
-from giirl_core.config_sections import Sandbox
+from giirl_core.config.sections import Sandbox
 
 
 def open_farm(

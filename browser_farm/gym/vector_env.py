@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from browser_farm.gym.adapter import ActionDict, Fields, MiniWoBAdapter, ObservationDict
 from browser_farm.gym.launch import checked_render_mode, is_due, open_farm
 from browser_farm.gym.slot import RESET_RESULT, EnvSlot, ResetOptions, checked_seed
-from giirl_core.config_sections import Sandbox
+from giirl_core.config.sections import Sandbox
 from giirl_core.types import Command, EpisodeSpec, Observation, StepResult
 
 Flags = NDArray[np.bool_]

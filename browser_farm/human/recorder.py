@@ -15,7 +15,7 @@ from browser_farm.chrome.answers import Failure
 from browser_farm.chrome.devtools import BrowserGone
 from browser_farm.chrome.tabs import Tabs
 from browser_farm.tasks import page_url
-from giirl_core.config_sections import Sandbox
+from giirl_core.config.sections import Sandbox
 from giirl_core.keys import parse_chord
 from giirl_core.types import (
     DEMONSTRATION,

@@ -21,7 +21,7 @@ from browser_farm.sites.screenshot import png_of
 from browser_farm.sites.servers import FolderServer, Refuser
 from browser_farm.sites.session import Session
 from browser_farm.sites.task_file import SiteTask, load_task
-from giirl_core.config_sections import Sandbox
+from giirl_core.config.sections import Sandbox
 from giirl_core.types import Command, EpisodeSpec, Observation, StepResult
 
 T = TypeVar("T")

@@ -15,7 +15,7 @@ from pydantic.dataclasses import dataclass
 
 from browser_farm.sites.fields import DRAWN, Fields, check_template, read_fields
 from browser_farm.sites.origins import is_http, origin_of
-from giirl_core.config_sections import STRICT, Seconds
+from giirl_core.config.sections import STRICT, Seconds
 
 SUFFIX = ".toml"
 METHODS = ("GET", "POST")

@@ -30,7 +30,7 @@ from giirl_core.nets.layout import (
     TYPABLE,
     WORDS,
 )
-from giirl_core.nets.reading import SMALL_PX, Floats, Ids, Kind, Text, read_kind, read_text, unit_vectors
+from giirl_core.nets.reading import SMALL_PX, Floats, Ids, Kind, Text, read_kind, unit_vectors, words_of_text
 from giirl_core.nets.relations import Structure, structure_of
 from giirl_core.types import TYPABLE_TAGS, Page
 
@@ -116,7 +116,7 @@ def _page_features(
 def _element(
     tag: str, text: str, value: str, classes: str, attributes: str, colour: str, shape: str, vectors: Vectors
 ) -> Element:
-    own, entered = read_text(text, vectors), read_text(value, vectors) if value else None
+    own, entered = words_of_text(text, vectors), words_of_text(value, vectors) if value else None
     kind = read_kind(tag, classes, attributes, colour, shape, text if tag == "text" else "", vectors)
     words, rows, number = own.folded, own.rows, own.number
     if entered is not None:
@@ -133,7 +133,7 @@ def _element(
         alike=(tag, classes),
         text=own,
         value=entered,
-        attributes=read_text(attributes, vectors) if attributes else None,
+        attributes=words_of_text(attributes, vectors) if attributes else None,
         kind=kind,
         words=words[:WORDS],
         rows=rows[:WORDS],

@@ -117,7 +117,7 @@ class GoalText:
 
 
 @functools.lru_cache(maxsize=1 << 16)
-def read_text(text: str, vectors: Vectors) -> Text:
+def words_of_text(text: str, vectors: Vectors) -> Text:
     """Read the text or value of an element."""
     words = tuple(TOKEN.findall(text))
     folded = tuple(word.lower() for word in words)

@@ -8,23 +8,25 @@ from pydantic import AfterValidator, Field
 from pydantic.dataclasses import dataclass
 
 from giirl_core.algorithms import ALGORITHMS, WorldName, algorithm_names
-from giirl_core.config_sections import (
+from giirl_core.config.learning import (
+    CloningConfig,
+    DiscriminatorConfig,
+    GridConfig,
+    LearnerConfig,
+    NetConfig,
+    PolicyConfig,
+    SoftQConfig,
+)
+from giirl_core.config.sections import (
     MAX_ACTORS,
     STRICT,
     ActorConfig,
-    CloningConfig,
     DemosConfig,
-    DiscriminatorConfig,
     EvaluateConfig,
-    GridConfig,
-    LearnerConfig,
     MetricsConfig,
-    NetConfig,
     Place,
-    PolicyConfig,
     Positive,
     ScoringConfig,
-    SoftQConfig,
     StreamConfig,
 )
 
