@@ -52,6 +52,7 @@ def test_a_scrape_returns_the_recorded_values(metrics: Metrics) -> None:
 def test_the_names_of_all_metrics(metrics: Metrics) -> None:
     assert {family.name for family in metrics.registry.collect()} == {
         "giirl_browser_recoveries",
+        "giirl_page_limits",
         "giirl_connections_refused",
         "giirl_discriminator_accuracy_ratio",
         "giirl_env_steps",
