@@ -140,17 +140,13 @@ class Tabs:
         return {tab: reply for tab, reply in replies.items() if isinstance(reply, Failure)}
 
     def screenshot(self, tab: int, box: tuple[float, float, float, float], scale: float) -> bytes | Failure:
-        """PNG of a part of a page. The tab is brought to the front meanwhile, since Chrome draws no other.
-
-        In real time it stays there, in a window of its own.
-        """
+        """PNG of a part of a page. The tab is brought to the front meanwhile, since Chrome draws no other."""
         clip = dict(zip(("x", "y", "width", "height"), box, strict=True)) | {"scale": scale}
         params = {"format": "png", "clip": clip, "optimizeForSpeed": True}
         reply = self._call_all({tab: [("Page.bringToFront", {})]})[tab]
         if not isinstance(reply, Failure):
             reply = self._call_all({tab: [("Page.captureScreenshot", params)]})[tab]
-        if not self._view.real_time:
-            self._hide_tabs()
+        self._hide_tabs()
         if isinstance(reply, Failure):
             return reply
         if not reply.result:
