@@ -84,7 +84,6 @@ def test_the_folder_of_another_services_metrics_is_left_to_it(tmp_path: Path) ->
 def test_the_names_of_all_metrics(metrics: Metrics) -> None:
     assert {family.name for family in metrics.registry.collect()} == {
         "giirl_browser_recoveries",
-        "giirl_page_limits",
         "giirl_connections_refused",
         "giirl_discriminator_accuracy_ratio",
         "giirl_env_steps",
