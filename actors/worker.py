@@ -28,10 +28,6 @@ POLL_S = 0.005  # between polls of the sockets while the actor does not play
 OUTAGE_S, MAX_OUTAGE_S = 5.0, 60.0  # pause in requests after a failed one; doubles with each further failure
 
 
-class Orphaned(RuntimeError):
-    """The learner has been silent for too long."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkerLimits:
     """The limits at which an actor ends an episode, pauses, or stops."""
@@ -41,7 +37,6 @@ class WorkerLimits:
     max_playing: int = 1 << 10  # episodes at the same time, in whichever tabs
     max_scoring: int = 64  # while more episodes than this wait for rewards, none starts
     flush_timeout_s: float = 2.0  # after `stop`: for outstanding rewards, and again for acknowledgements
-    orphan_timeout_s: float = float("inf")  # longest silence of the learner before the actor gives up
 
 
 class Worker:
@@ -73,6 +68,11 @@ class Worker:
         self._playing = 0  # unfinished episodes
         self._idle = _MovingAverage()  # share of idle places
         self._outage_end_s, self._outage_s = 0.0, OUTAGE_S  # of the reward service
+
+    @property
+    def learner_silent_s(self) -> float:
+        """Seconds since the learner's last message."""
+        return self._uplink.silent_for_s
 
     def load(self, weights: Weights) -> None:
         """Use these policy weights from the next round on."""
@@ -109,12 +109,11 @@ class Worker:
     def run(self) -> None:
         """Play until `stop` is called, then deliver the finished episodes. Unfinished episodes are abandoned.
 
-        Raises Orphaned if the learner is silent for too long, and Refused if it rejects this actor. In both cases
-        nothing is delivered.
+        Raises Refused, and delivers nothing, if the learner rejects this actor.
         """
         try:
             self._play_until_stopped()
-        except (Orphaned, Refused):
+        except Refused:
             raise
         except Exception:
             self._deliver_finished()
@@ -188,7 +187,7 @@ class Worker:
             self._scorer.submit(episode, episode.trajectory)
 
     def _poll(self) -> None:
-        """Send the episodes whose scoring has succeeded or failed to the learner. Raises Refused or Orphaned."""
+        """Send the episodes whose scoring has succeeded or failed to the learner. Raises Refused."""
         for episode, rewards, version in self._scorer.poll() if self._scorer is not None else ():
             if rewards is None:
                 self._outage_end_s = time.monotonic() + self._outage_s
@@ -200,8 +199,6 @@ class Worker:
             self._uplink.submit(replace(episode, trajectory=episode.trajectory.with_rewards(rewards, version)))
         self._uplink.idle_share = self._idle.update(1 - self._playing / self._places)
         self._uplink.poll()
-        if self._uplink.silent_for_s > self._limits.orphan_timeout_s:
-            raise Orphaned(f"no message from the learner for {self._limits.orphan_timeout_s:.0f} s")
 
     def _wait(self, what: str) -> None:
         with waiting(self._metrics, what):

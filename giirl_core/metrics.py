@@ -129,9 +129,7 @@ class Metrics:
         )
 
     def _define_processes(self) -> None:
-        self.healthy_workers = self._gauge(
-            "giirl_healthy_workers", "Number of worker processes that are neither quarantined nor stopping.", "kind"
-        )
+        self.workers = self._gauge("giirl_workers", "Number of worker processes, by state.", "kind", "state")
         self.worker_exits = self._counter(
             "giirl_worker_exits_total", "Number of worker processes that exited or were killed as hung.", "kind"
         )

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,8 +17,8 @@ import torch
 from giirl.run.demonstrations import collect_demonstrations
 from giirl.run.evaluate import evaluate
 from giirl.run.folder import RunFolder
-from giirl.run.serial import SerialRuntime
-from giirl.run.throughput import StreamState, Throughput, format_rates
+from giirl.run.serial import Runtime, SerialRuntime
+from giirl.run.throughput import Throughput, format_rates
 from giirl.run.workers import WorkersRuntime
 from giirl.signals import Stopped, raise_if, stopping
 from giirl.statistics import WINDOW, lowest_window
@@ -35,35 +35,7 @@ from learner.devices import learner_threads
 from learner.learner import Learner
 
 COUNTS = "counts.json"  # in a checkpoint
-
-
-class Runtime(Protocol):
-    """Plays and scores episodes: in this thread, in processes on this machine, or in a Ray cluster."""
-
-    def publish(self, policy: Weights, reward: Weights) -> None:
-        """Use these weights from now on. The first call starts what plays."""
-
-    def take(self, episodes: int) -> list[Episode]:
-        """At least so many new episodes, with rewards; an empty list when the run should stop."""
-
-    def stream(self) -> StreamState:
-        """How the stream of episodes does."""
-        ...
-
-    def addresses(self) -> dict[str, str]:
-        """Metrics addresses "host:port" of the other processes, by name."""
-
-    def save(self, folder: Path) -> None:
-        """Write the runtime's part of a checkpoint."""
-
-    def committed(self) -> None:
-        """The last `save` is on the disk."""
-
-    def drain(self) -> None:
-        """Stop playing and collect what is finished."""
-
-    def close(self) -> None:
-        """End all processes and close the browser."""
+LONG_ITERATION_S = 1.5  # Ray kills a job 3 s after it was asked to stop
 
 
 def train(config: Config, folder: RunFolder, resume: Path | None, display: Display) -> dict[str, Any]:
@@ -129,7 +101,7 @@ class Session:
         self._targets: dict[str, str] = {}
         self._recent = {task: deque[int](maxlen=WINDOW) for task in config.tasks}
         self.throughput = Throughput()
-        self._since_s = time.monotonic()
+        self._since_s = self._taken_s = time.monotonic()
         self.seconds_before = 0.0  # of the sessions before this one was resumed
         self.env_steps = 0  # in the episodes that the learner took
         self.episodes = 0
@@ -157,9 +129,10 @@ class Session:
             with self._display.job("training", config.iterations, learner.version) as self._job:
                 LOOPS[config.algorithm](config, learner, self, self._steps(), self._observe)
             raise_if(self._stop)
+            self._end()
         except Stopped:
-            self._runtime.drain()
-            self._save()
+            self._save()  # first: whoever asked to stop may kill this process soon
+            self._end()
             raise
         except RuntimeError as error:
             if self._consistent:
@@ -179,7 +152,7 @@ class Session:
             self._rollouts = self._runtime.take(episodes)
         if not self._rollouts:
             raise Stopped
-        self._consistent = False
+        self._consistent, self._taken_s = False, time.monotonic()
         if ALGORITHMS[self._config.algorithm].reward == "environment":
             return [with_env_reward(episode) for episode in self._rollouts]
         return [episode.trajectory for episode in self._rollouts]
@@ -203,6 +176,8 @@ class Session:
         assert self._runtime is not None
         assert self._job is not None
         self._learner.version, self._consistent = step + 1, True
+        # A stop in a long iteration may not find the time to wait for its end, so the last one has to be saved.
+        long = time.monotonic() - self._taken_s > LONG_ITERATION_S
         self._metrics.policy_version.set(step + 1)
         self._metrics.reward_version.set(step + 1)
         self.env_steps += sum(len(episode.trajectory) for episode in self._rollouts)
@@ -218,7 +193,7 @@ class Session:
         self._runtime.publish(*self._learner.weights())
         self._job.advance(1, f"{self._recent_success(outcomes)}; {format_rates(rates)}")
         self._update_targets()
-        if (step + 1) % self._config.checkpoint_every == 0 or step + 1 == self._config.iterations:
+        if long or (step + 1) % self._config.checkpoint_every == 0 or step + 1 == self._config.iterations:
             self._save()
 
     def _counts(self) -> dict[str, float]:
@@ -246,6 +221,13 @@ class Session:
 
         save_checkpoint(self._folder.checkpoints, self._learner.version, write, keep=self._config.keep_checkpoints)
         runtime.committed()
+
+    def _end(self) -> None:
+        """Collect what the actors have finished, and save it."""
+        assert self._runtime is not None
+        if self._runtime.drain():
+            self._save()
+            self._runtime.forget()
 
     def _save_if_consistent(self) -> None:
         """Save while waiting for rollouts, unless that would lose some."""

@@ -59,7 +59,7 @@ def test_the_names_of_all_metrics(metrics: Metrics) -> None:
         "giirl_episodes_unscored",
         "giirl_gradient_update_duration_seconds",
         "giirl_gradient_updates",
-        "giirl_healthy_workers",
+        "giirl_workers",
         "giirl_policy_lag_versions",
         "giirl_policy_version",
         "giirl_reward_lag_versions",
