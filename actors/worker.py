@@ -25,7 +25,6 @@ LOG = logging.getLogger(__name__)
 NO_VERSION = -1
 IDLE_S = 5.0  # time constant of the moving average of the share of idle tabs
 POLL_S = 0.005  # between polls of the sockets while the actor does not play
-OUTAGE_S, MAX_OUTAGE_S = 5.0, 60.0  # pause in requests after a failed one; doubles with each further failure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +66,6 @@ class Worker:
         self._places = min(browser.tabs, limits.max_playing)
         self._playing = 0  # unfinished episodes
         self._idle = _MovingAverage()  # share of idle places
-        self._outage_end_s, self._outage_s = 0.0, OUTAGE_S  # of the reward service
 
     @property
     def learner_silent_s(self) -> float:
@@ -84,7 +82,6 @@ class Worker:
         def call() -> None:
             if self._scorer is not None:
                 self._scorer.set_replicas(scorers)
-                self._outage_end_s, self._outage_s = 0.0, OUTAGE_S
 
         self._calls.put(call)
 
@@ -180,8 +177,8 @@ class Worker:
         return min(self._uplink.startable(playing + scoring), self._limits.max_playing - playing)
 
     def _finish(self, episode: Episode) -> None:
-        """Request the rewards of an episode. Without a reward service, or during its outage, send it unscored."""
-        if self._scorer is None or time.monotonic() < self._outage_end_s:
+        """Request the rewards of an episode. If no reward service answers, send it unscored."""
+        if self._scorer is None or not self._scorer.answering:
             self._submit_unscored(episode)
         else:
             self._scorer.submit(episode, episode.trajectory)
@@ -190,13 +187,13 @@ class Worker:
         """Send the episodes whose scoring has succeeded or failed to the learner. Raises Refused."""
         for episode, rewards, version in self._scorer.poll() if self._scorer is not None else ():
             if rewards is None:
-                self._outage_end_s = time.monotonic() + self._outage_s
-                self._outage_s = min(2 * self._outage_s, MAX_OUTAGE_S)
                 self._submit_unscored(episode)
                 continue
-            self._outage_end_s, self._outage_s = 0.0, OUTAGE_S
             assert isinstance(episode, Episode)
             self._uplink.submit(replace(episode, trajectory=episode.trajectory.with_rewards(rewards, version)))
+        if self._scorer is not None and not self._scorer.answering:  # the learner can compute what would come late
+            for episode in self._scorer.cancel_pending():
+                self._submit_unscored(episode)
         self._uplink.idle_share = self._idle.update(1 - self._playing / self._places)
         self._uplink.poll()
 
