@@ -18,6 +18,7 @@ from itertools import islice
 from pathlib import Path
 
 from browser_farm.chrome.launcher import CHROMES, DRIVERS
+from giirl_core.config import DEFAULT_TASKS
 
 GIB = 1 << 30
 MIN_PYTHON = (3, 11)
@@ -26,7 +27,7 @@ MIN_SHARED_BYTES = GIB
 GLOVE_BYTES = 400_000 * 50 * 4  # words, numbers per word, bytes per number
 VERSION_TIMEOUT_S = 20.0
 REINSTALL = "make install"
-PAGES = tuple(f"miniwob/{task}.html" for task in ("click-test", "click-test-2", "click-button", "enter-text"))
+PAGES = tuple(f"miniwob/{task}.html" for task in DEFAULT_TASKS)
 SKIPPED_EXTRAS = ("all", "dev")  # "all" repeats the other extras, "dev" is for work on GIIRL itself
 
 

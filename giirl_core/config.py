@@ -71,9 +71,9 @@ class GridConfig:
     """Goals among them that training never sees."""
     sentences: Literal["plain", "all"] = "plain"
     """One sentence for each goal, or all synonyms and word orders."""
-    order: Literal[1, 2] = 2
-    """Counts single words (1), or also pairs of neighbouring words (2)."""
-    neighbours: bool = False
+    ngram_order: Literal[1, 2] = 2
+    """Longest n-grams counted in the instruction: single words (1), or also pairs of neighbouring words (2). [words]"""
+    adjacent_cells: bool = False
     """Nets also see the four cells around the agent."""
     full_map: bool = False
     """The policy also sees the whole map. The reward never does."""

@@ -21,7 +21,7 @@ from learner.stream.ingest import Ingest
 from reward_service.process import RewardProcess
 
 POLL_S = 0.5  # between two checks of the processes
-STOP_TIMEOUT_S = 10.0  # for processes to hand over and end
+STOP_TIMEOUT_S = 10.0  # for actors to send their finished episodes, and processes to end
 PING_S = 10.0  # between two signs of life to processes that hear nothing else
 FORGET_TIMEOUT_S = 2.0  # for the actors to delete their temporary files
 LEAVE_TIMEOUT_S = 60.0  # for a surplus actor to wait until a checkpoint covers all its episodes
@@ -65,7 +65,7 @@ class Fleet:
 
     @property
     def starting(self) -> bool:
-        """True while a process is on its way up."""
+        """Whether a process is still starting."""
         return any(member.running is None and not member.quarantined for member in self._members)
 
     @property
@@ -122,7 +122,7 @@ class Fleet:
         return f"; {'; '.join(idle[:4])}; free: {self._platform.resources()}" if idle else ""
 
     def drain(self) -> None:
-        """Let the actors hand over their finished episodes and end."""
+        """Let the actors send their finished episodes and end."""
         for actor in self._actors:
             actor.stopping = True
             actor.notify("stop", 0.0)

@@ -12,7 +12,7 @@ import pytest
 
 from actors.process import ActorProcess
 from giirl_core.config_file import dump_config
-from giirl_core.nets.parameters import seal_net
+from giirl_core.nets.parameters import serialise_net
 from giirl_core.nets.reward import build_policy, build_reward
 from giirl_core.processes import worker_process
 from giirl_core.weights import Weights
@@ -67,7 +67,7 @@ def settings(path: Path) -> str:
 
 
 def policy(path: Path) -> Weights:
-    return seal_net(build_policy(config(path)), 0)
+    return serialise_net(build_policy(config(path)), 0)
 
 
 def until(condition: Callable[[], bool]) -> None:
@@ -87,7 +87,7 @@ def test_a_process_that_no_learner_ever_calls_leaves(clock: Clock, tmp_path: Pat
 
 def test_each_call_of_the_learner_is_a_sign_of_life(clock: Clock, tmp_path: Path) -> None:
     service = LeavingService(settings(tmp_path), None)
-    weights = seal_net(build_reward(config(tmp_path)).net, 0)
+    weights = serialise_net(build_reward(config(tmp_path)).net, 0)
     for call in (service.addresses, service.ping, lambda: service.load(weights), service.stop):
         clock.ahead_s += SHORT_S - 3
         call()
@@ -98,7 +98,7 @@ def test_each_call_of_the_learner_is_a_sign_of_life(clock: Clock, tmp_path: Path
 def test_a_reward_service_that_serves_leaves_when_its_learner_is_silent(clock: Clock, tmp_path: Path) -> None:
     service = LeavingService(settings(tmp_path), None)
     service.addresses()
-    serving = Thread(target=service.run, args=(seal_net(build_reward(config(tmp_path)).net, 0),))
+    serving = Thread(target=service.run, args=(serialise_net(build_reward(config(tmp_path)).net, 0),))
     serving.start()
     until(lambda: service._running)
     clock.ahead_s += SHORT_S + 1
