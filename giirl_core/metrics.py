@@ -15,11 +15,26 @@ from threading import Thread
 from wsgiref.simple_server import WSGIServer
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, start_http_server
+from prometheus_client.parser import text_string_to_metric_families
 
 from giirl_core.files import write_json
 
 LAG_BUCKETS = (0, 1, 2, 3, 4, 6, 8, 12, 16)  # versions
 DURATION_BUCKETS = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # seconds
+
+
+PHASES = ("demonstrations", "starting", "training", "evaluation")  # of a run
+
+Samples = dict[str, list[tuple[dict[str, str], float]]]  # by name: labels and value of each series
+
+
+def parse_samples(text: str) -> Samples:
+    """The metrics that a process has served. ValueError if the text is something else."""
+    found: Samples = {}
+    for family in text_string_to_metric_families(text):
+        for sample in family.samples:
+            found.setdefault(sample.name, []).append((dict(sample.labels), sample.value))
+    return found
 
 
 class Metrics:
@@ -28,6 +43,7 @@ class Metrics:
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
         self._servers: list[tuple[WSGIServer, Thread]] = []
+        self._define_run()
         self._define_environment()
         self._define_delivery()
         self._define_training()
@@ -53,6 +69,29 @@ class Metrics:
             server.shutdown()
             server.server_close()
             thread.join(timeout=5)
+
+    def enter(self, phase: str) -> None:
+        """Show the phase that the run is in from now on."""
+        for other in PHASES:
+            self.run_phase.labels(other).set(other == phase)
+
+    def _define_run(self) -> None:
+        self.run_phase = self._gauge("giirl_run_phase", "Whether the run is in a phase: 1 or 0.", "phase")
+        self.iterations_goal = self._gauge(
+            "giirl_iterations_goal", "Iterations after which the training ends; 0 before it begins."
+        )
+        self.checkpoint_time = self._gauge(
+            "giirl_checkpoint_timestamp_seconds", "Time of the last checkpoint; 0 before the first."
+        )
+        self.success = self._gauge(
+            "giirl_success_ratio", "Success over the last 100 training episodes of a task.", "task"
+        )
+        self.trajectories_queued = self._gauge(
+            "giirl_trajectories_queued", "Number of trajectories in the learner's queue."
+        )
+        self.flow = self._gauge(
+            "giirl_flow", "A rate or share over the last 20 s, by its key in `flow` of curve.jsonl.", "key"
+        )
 
     def _define_environment(self) -> None:
         self.env_steps = self._counter("giirl_env_steps_total", "Number of environment steps.")

@@ -46,7 +46,7 @@ class Display:
 
     def __init__(self) -> None:
         self.console = Console(stderr=True)
-        self._results = Console()
+        self.results = Console()
 
     def say(self, text: str) -> None:
         """Print a line that stays on the terminal."""
@@ -54,7 +54,7 @@ class Display:
 
     def table(self, table: Table) -> None:
         """Print a table of results."""
-        self._results.print(table)
+        self.results.print(table)
 
     @contextmanager
     def busy(self, title: str) -> Iterator[None]:

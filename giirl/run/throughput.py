@@ -16,6 +16,7 @@ class StreamState:
     """The state of the stream of episodes, as a runtime reports it."""
 
     stale: int = 0  # episodes dropped as stale since the start of the session
+    queued: int = 0  # episodes that are accepted and not yet taken
     actors_idle: float = 0.0  # fraction of the actors' tabs that wait for the learner
 
 
@@ -70,6 +71,7 @@ class Throughput:
         stale = steps[-1].stale - (first.stale if steps[-1] is not first else 0)
         return {
             "episodes_per_s": round(episodes / seconds, 1),
+            "iterations_per_s": round(len(steps) / seconds, 3),
             "env_steps_per_s": round(sum(step.env_steps for step in steps) / seconds, 1),
             "learner_waits": round(sum(step.waited_s for step in steps) / seconds, 3),
             "actors_idle": round(self._idle, 3),

@@ -49,6 +49,7 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
     own = metrics.serve(config.metrics.host, config.metrics.port)
     try:
         if resume is None:
+            metrics.enter("demonstrations")
             folder.save_demonstrations(collect_demonstrations(config, metrics, display))
         demonstrations = [episode.trajectory for episode in folder.load_demonstrations()]
         learner = Learner(config, demonstrations, metrics)
@@ -62,6 +63,7 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
         with stopping(stop):
             session.learn(resume)
         policy, _ = learner.weights()
+        metrics.enter("evaluation")
         tasks = evaluate(config, policy, metrics, display)
     finally:
         metrics.close()
@@ -119,6 +121,9 @@ class Session:
         """Train from the learner's version to `iterations`, and return when the runtime is closed."""
         config, learner = self._config, self._learner
         self._folder.cut_curve(learner.version)
+        self._metrics.iterations_goal.set(config.iterations)
+        self._metrics.policy_version.set(learner.version)
+        self._metrics.enter("starting")
         if resume is not None:
             counts = json.loads((resume / COUNTS).read_text())
             self.env_steps, self.episodes = counts["env_steps"], counts["episodes"]
@@ -134,7 +139,7 @@ class Session:
             self._update_targets()
             if resume is None:
                 self._save()  # now the run can be resumed
-            self._display.say(f"success: over the last {WINDOW} episodes of {', '.join(config.tasks)}")
+            self._metrics.enter("training")
             with self._display.job("training", config.iterations, learner.version) as self._job:
                 LOOPS[config.algorithm](config, learner, self, self._steps(), self._observe)
             raise_if(self._stop)
@@ -197,6 +202,8 @@ class Session:
         lags = [step - episode.trajectory.policy_version for episode in self._rollouts]
         self.throughput.add(lags, sum(len(episode.trajectory) for episode in self._rollouts), self._runtime.stream())
         rates = self.throughput.recent()
+        for key, value in rates.items():
+            self._metrics.flow.labels(key).set(value)
         numbers = {k: round(v, 4) for k, v in stats.items()}
         self._folder.append_curve({**self._counts(), "outcomes": outcomes, **numbers, "flow": rates})
         self._runtime.publish(*self._learner.weights())
@@ -214,9 +221,10 @@ class Session:
         """Success of the exploring policy over the last WINDOW episodes, task by task."""
         for task, some in outcomes.items():
             self._recent[task].extend(some)
-        return (
-            "success " + " ".join(f"{100 * sum(some) / max(len(some), 1):.0f}" for some in self._recent.values()) + " %"
-        )
+        success = {task: sum(some) / len(some) for task, some in self._recent.items() if some}
+        for task, share in success.items():
+            self._metrics.success.labels(task).set(share)
+        return "success " + ", ".join(f"{task} {100 * share:.0f}" for task, share in success.items()) + " %"
 
     def _save(self) -> None:
         runtime = self._runtime
@@ -229,6 +237,7 @@ class Session:
             (partial / self._folder.config_file.name).write_text(dump_config(self._config))
 
         save_checkpoint(self._folder.checkpoints, self._learner.version, write, keep=self._config.keep_checkpoints)
+        self._metrics.checkpoint_time.set_to_current_time()
         runtime.committed()
 
     def _end(self) -> None:
