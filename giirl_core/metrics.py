@@ -75,6 +75,11 @@ class Metrics:
         for other in PHASES:
             self.run_phase.labels(other).set(other == phase)
 
+    def dropped(self) -> dict[str, int]:
+        """The numbers of `trajectories_dropped` above 0, by reason."""
+        samples = [sample for family in self.trajectories_dropped.collect() for sample in family.samples]
+        return {s.labels["reason"]: int(s.value) for s in samples if s.value and s.name.endswith("_total")}
+
     def _define_run(self) -> None:
         self.run_phase = self._gauge("giirl_run_phase", "Whether the run is in a phase: 1 or 0.", "phase")
         self.iterations_goal = self._gauge(

@@ -14,6 +14,7 @@ from typing import Any
 from giirl.run.folder import RunFolder
 from giirl_core.files import is_locked
 from giirl_core.metrics import Samples, parse_samples
+from giirl_core.progress import duration
 
 TIMEOUT_S = 0.7  # for the learner's answer
 DIRECT = urllib.request.build_opener(urllib.request.ProxyHandler({}))
@@ -124,13 +125,6 @@ def lines(status: RunStatus) -> list[str]:
         found.append(("saved", f"{duration(status.checkpoint_age_s)} ago"))
     width = max(len(name) for name, _ in found[1:]) if len(found) > 1 else 0
     return [": ".join(found[0]), *(f"  {name:{width}}  {text}" for name, text in found[1:])]
-
-
-def duration(seconds: float) -> str:
-    """A time like "1:02:03" or "2:03" (hours, minutes, seconds)."""
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
 
 
 def _of_folder(path: Path) -> RunStatus:

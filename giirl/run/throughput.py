@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -90,9 +90,11 @@ class Throughput:
         }
 
 
-def format_rates(rates: dict[str, float]) -> str:
-    """The recent rates as one line for the progress display."""
+def format_rates(rates: Mapping[str, float], dropped: Mapping[str, int]) -> str:
+    """The recent rates as one line for the progress display, and the episodes dropped in this session by reason."""
+    drops = "".join(f", {reason.replace('_', ' ')} {count}" for reason, count in dropped.items())
     return (
-        f"{rates['episodes_per_s']:.0f} episodes/s, learner waits {100 * rates['learner_waits']:.0f} %, actors idle "
-        f"{100 * rates['actors_idle']:.0f} %, lag {rates['lag']:.1f}, stale {100 * rates['stale']:.1f} %"
+        f"{rates['episodes_per_s']:.0f} episodes/s, {rates['env_steps_per_s']:.0f} steps/s, "
+        f"learner waits {100 * rates['learner_waits']:.0f} %, actors idle {100 * rates['actors_idle']:.0f} %, "
+        f"lag {rates['lag']:.1f}, stale {100 * rates['stale']:.1f} %{drops}"
     )

@@ -207,7 +207,7 @@ class Session:
         numbers = {k: round(v, 4) for k, v in stats.items()}
         self._folder.append_curve({**self._counts(), "outcomes": outcomes, **numbers, "flow": rates})
         self._runtime.publish(*self._learner.weights())
-        self._job.advance(1, f"{self._recent_success(outcomes)}; {format_rates(rates)}")
+        self._job.advance(1, f"{self._recent_success(outcomes)}; {format_rates(rates, self._metrics.dropped())}")
         self._update_targets()
         if long or (step + 1) % self._config.checkpoint_every == 0 or step + 1 == self._config.iterations:
             self._save()

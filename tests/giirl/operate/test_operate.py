@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from giirl.operate.clean import clean_up
-from giirl.operate.status import duration, lines, read_status
+from giirl.operate.status import lines, read_status
 from giirl.operate.stop import stop_requests, stop_run
 from giirl.run.folder import RunFolder
 from giirl_core.files import folder_lock, user_folder, write_json
@@ -117,10 +117,6 @@ def test_a_run_whose_learner_does_not_answer_is_told_from_its_folder(state: str,
 def test_a_status_of_nothing_is_an_error_that_says_what_is_wanted(word: str, error: str) -> None:
     with pytest.raises(ValueError, match=error):
         read_status(word)
-
-
-def test_durations_read_like_a_clock() -> None:
-    assert [duration(s) for s in (0.4, 65, 3600 * 5 + 61)] == ["0:00", "1:05", "5:01:01"]
 
 
 def test_stop_sends_sigterm_to_the_process_of_the_run_and_waits_for_its_end(tmp_path: Path) -> None:
