@@ -21,13 +21,12 @@ from giirl_core.processes.worker_process import TICK_S, WorkerProcess
 from giirl_core.types import Purpose
 from giirl_core.weights import Weights
 from giirl_core.wire.score_client import ScoreClient
-from giirl_core.wire.transport import Keys
 
 
 class ActorProcess(WorkerProcess):
     """One actor. `run` blocks its thread until `stop`; the platform calls the other methods from other threads."""
 
-    def __init__(self, config: str, run: str, index: int, folder: Path | None, keys: Keys | None) -> None:
+    def __init__(self, config: str, run: str, index: int, folder: Path | None, encrypted: bool) -> None:
         """`folder` is where the actor counts its episodes; None is a temporary folder on the node that it runs on."""
         self._run, self._index, self._name = run, index, f"actor-{index}"
         self._counter_file = counter_file(folder, run, self._name)
@@ -35,11 +34,11 @@ class ActorProcess(WorkerProcess):
         self._worker: Worker | None = None
         self._weights: Weights | None = None  # the newest
         self._scorers: tuple[str, ...] = ()
-        super().__init__(config, keys)  # last, because it starts threads
+        super().__init__(config, encrypted)  # last, because it starts threads
 
     def addresses(self) -> tuple[str, str]:
-        """The address of the metrics, and "" because an actor serves nothing else."""
-        return self.metrics_address(), ""
+        """The address of the metrics, and the public key that this actor connects with; "" without encryption."""
+        return self.metrics_address(), self._keys.public.decode() if self._keys else ""
 
     def run(self, incarnation: int, first: int, learner: str, scorers: tuple[str, ...], weights: Weights) -> None:
         """Play until stopped.

@@ -22,8 +22,10 @@ class WorkerProcess:
     It exits by itself when it hears nothing of a learner for `actors.orphan_timeout_s`, whatever it does then.
     """
 
-    def __init__(self, config: str, keys: Keys | None) -> None:
-        self._config, self._keys = parse_config(json.loads(config), "the driver's config"), keys
+    def __init__(self, config: str, encrypted: bool) -> None:
+        """`encrypted`: connections need a key pair. This process makes its own, and only tells its public key."""
+        self._config = parse_config(json.loads(config), "the driver's config")
+        self._keys = Keys.generate() if encrypted else None
         self._metrics, self._metrics_address = Metrics(), ""
         self._stopped = threading.Event()
         self._running = False  # `run` has begun and not returned

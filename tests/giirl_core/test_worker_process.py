@@ -16,7 +16,6 @@ from giirl_core.nets.parameters import serialise_net
 from giirl_core.nets.reward import build_policy, build_reward
 from giirl_core.processes import worker_process
 from giirl_core.weights import Weights
-from giirl_core.wire.transport import Keys
 from reward_service.process import RewardProcess
 from tests.giirl.small import config
 
@@ -47,9 +46,9 @@ class LeavingActor(ActorProcess):
 
 
 class LeavingService(RewardProcess):
-    def __init__(self, config: str, keys: Keys | None) -> None:
+    def __init__(self, config: str) -> None:
         self.left = Event()
-        super().__init__(config, keys)
+        super().__init__(config, encrypted=False)
 
     def leave(self) -> None:
         self.left.set()
@@ -78,7 +77,7 @@ def until(condition: Callable[[], bool]) -> None:
 
 
 def test_a_process_that_no_learner_ever_calls_leaves(clock: Clock, tmp_path: Path) -> None:
-    actor = LeavingActor(settings(tmp_path), "run", 0, tmp_path, None)
+    actor = LeavingActor(settings(tmp_path), "run", 0, tmp_path, False)
     clock.ahead_s += SHORT_S - 2
     assert not actor.left.wait(0.2)
     clock.ahead_s += 3
@@ -86,7 +85,7 @@ def test_a_process_that_no_learner_ever_calls_leaves(clock: Clock, tmp_path: Pat
 
 
 def test_each_call_of_the_learner_is_a_sign_of_life(clock: Clock, tmp_path: Path) -> None:
-    actor = LeavingActor(settings(tmp_path), "run", 0, tmp_path, None)
+    actor = LeavingActor(settings(tmp_path), "run", 0, tmp_path, False)
     weights = policy(tmp_path)
     calls = (
         actor.ping,
@@ -103,9 +102,9 @@ def test_each_call_of_the_learner_is_a_sign_of_life(clock: Clock, tmp_path: Path
 
 
 def test_a_reward_service_that_serves_leaves_when_its_learner_is_silent(clock: Clock, tmp_path: Path) -> None:
-    service = LeavingService(settings(tmp_path), None)
+    service = LeavingService(settings(tmp_path))
     service.addresses()
-    serving = Thread(target=service.run, args=(serialise_net(build_reward(config(tmp_path)).net, 0),))
+    serving = Thread(target=service.run, args=(serialise_net(build_reward(config(tmp_path)).net, 0), ()))
     serving.start()
     until(lambda: service._running)
     clock.ahead_s += SHORT_S + 1
@@ -119,7 +118,7 @@ def test_an_actor_that_waits_for_credits_of_a_dead_learner_leaves(
     clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("actors.uplink.time", clock)
-    actor = LeavingActor(settings(tmp_path), "run", 0, tmp_path, None)
+    actor = LeavingActor(settings(tmp_path), "run", 0, tmp_path, False)
     nobody = "127.0.0.1:9"
     playing = Thread(target=actor.run, args=(1, 0, nobody, (), policy(tmp_path)))
     playing.start()
@@ -132,7 +131,7 @@ def test_an_actor_that_waits_for_credits_of_a_dead_learner_leaves(
 
 def test_a_process_that_was_stopped_leaves_soon_if_the_learner_does_not_end_it(clock: Clock, tmp_path: Path) -> None:
     long = replace(config(tmp_path), actors=replace(config(tmp_path).actors, orphan_timeout_s=3600.0))
-    actor = LeavingActor(dump_config(long), "run", 0, tmp_path, None)
+    actor = LeavingActor(dump_config(long), "run", 0, tmp_path, False)
     actor.stop(0.0)
     clock.ahead_s += worker_process.STOPPED_TIMEOUT_S - 2
     assert not actor.left.wait(0.2)
