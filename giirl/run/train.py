@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from actors.pool import player_for
 from giirl.run.demonstrations import collect_demonstrations
 from giirl.run.evaluate import evaluate
 from giirl.run.folder import RunFolder
@@ -47,10 +48,11 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
     metrics, stop = Metrics(), Event()
     torch.set_num_threads(learner_threads(config))
     own = metrics.serve(config.metrics.host, config.metrics.port)
+    open_player = player_for(config, folder.identity)
     try:
         if resume is None:
             metrics.enter("demonstrations")
-            folder.save_demonstrations(collect_demonstrations(config, metrics, display))
+            folder.save_demonstrations(collect_demonstrations(config, metrics, display, open_player))
         demonstrations = [episode.trajectory for episode in folder.load_demonstrations()]
         learner = Learner(config, demonstrations, metrics)
         if resume is not None:
@@ -64,7 +66,7 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
             session.learn(resume)
         policy, _ = learner.weights()
         metrics.enter("evaluation")
-        tasks = evaluate(config, policy, metrics, display)
+        tasks = evaluate(config, policy, metrics, display, open_player)
     finally:
         metrics.close()
     return {

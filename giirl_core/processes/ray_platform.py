@@ -121,7 +121,15 @@ class RayPlatform:
         self._handles: dict[str, Any] = {}  # the newest of each name
         self._left = {} if self.single_node else self._find_left()
 
-    def start(self, kind: type[Any], name: str, *values: Any, place: Place, threads: int = THREADS) -> RayProcess:
+    def start(
+        self,
+        kind: type[Any],
+        name: str,
+        *values: Any,
+        place: Place,
+        threads: int = THREADS,
+        detached: bool = True,
+    ) -> RayProcess:
         left = self._left.pop(name, None)
         if left is not None:
             self._handles[name] = left
@@ -135,10 +143,10 @@ class RayPlatform:
                 "memory": place.memory_bytes or None,
                 "resources": dict(place.resources),
                 "scheduling_strategy": self._node_apart(name) if place.apart else "SPREAD",
-                "name": f"{self._run}/{name}/{self._code}/{secrets.token_hex(4)}",
-                "namespace": NAMESPACE,
-                "lifetime": "detached",
             }
+            if detached:
+                full_name = f"{self._run}/{name}/{self._code}/{secrets.token_hex(4)}"
+                options |= {"name": full_name, "namespace": NAMESPACE, "lifetime": "detached"}
         handle: Any = ray.remote(actor_class).options(**options).remote(*values)
         self._handles[name] = handle
         return RayProcess(handle, self._pending, reattached=False)

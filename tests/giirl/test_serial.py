@@ -173,26 +173,27 @@ def test_changed_discriminator_rewards_do_affect_training(
 def test_training_demonstrations_and_evaluation_never_share_a_page(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    opened: list[set[tuple[str, int]]] = []
-    for module in ("giirl.run.demonstrations", "giirl.run.serial", "giirl.run.evaluate"):
-        seen: set[tuple[str, int]] = set()
-        opened.append(seen)
+    opened: list[set[tuple[str, int]]] = []  # what each browser has shown, in the order in which they were opened
 
-        class Watched(FakeFarm):
-            _seen = seen
+    class Watched(FakeFarm):
+        def __init__(self, tabs: int) -> None:
+            super().__init__(tabs=tabs)
+            self._seen: set[tuple[str, int]] = set()
+            opened.append(self._seen)
 
-            def reset(self, episodes: Any) -> Any:
-                shown = super().reset(episodes)
-                self._seen |= {(look.episode.task, look.episode.seed) for look in shown.values()}
-                return shown
+        def reset(self, episodes: Any) -> Any:
+            shown = super().reset(episodes)
+            self._seen |= {(look.episode.task, look.episode.seed) for look in shown.values()}
+            return shown
 
-            def step(self, commands: Any) -> Any:
-                results = super().step(commands)
-                looks = [result.observation for result in results.values() if result.observation]
-                self._seen |= {(look.episode.task, look.episode.seed) for look in looks}
-                return results
+        def step(self, commands: Any) -> Any:
+            results = super().step(commands)
+            looks = [result.observation for result in results.values() if result.observation]
+            self._seen |= {(look.episode.task, look.episode.seed) for look in looks}
+            return results
 
-        monkeypatch.setattr(f"{module}.open_browser", lambda config, metrics, kind=Watched: kind(tabs=4))
+    for module in ("actors.player", "giirl.run.serial"):
+        monkeypatch.setattr(f"{module}.open_browser", lambda config, metrics: Watched(tabs=4))
     run(tmp_path / "run")
     demonstrated, trained, evaluated = opened
     assert len(demonstrated) == 16
