@@ -40,7 +40,8 @@ def open_pool(config: Config, metrics: Metrics, *, run: str) -> Iterator[PagePoo
     """A pool on the Ray cluster that this machine belongs to. `run` is the identity of the run."""
     from giirl_core.processes.ray_platform import RayPlatform
 
-    platform = RayPlatform(config, f"{run}-players")
+    platform = RayPlatform(config, run)
+    platform.end_left()  # an earlier try died between training and evaluation: they would keep their places
     try:
         with closing(PagePool(config, platform, metrics)) as pool:
             yield pool

@@ -159,9 +159,14 @@ class RayPlatform:
         nodes = sum(node["Alive"] for node in ray.nodes())  # type: ignore[no-untyped-call]
         return f"{_free_of(free, there)} on {nodes} node{'s' if nodes != 1 else ''}"
 
-    def close(self) -> None:
-        for handle in self._left.values():  # of an earlier session with more processes than this one
+    def end_left(self) -> None:
+        """Kill the processes of an earlier session that this one has not taken over."""
+        for handle in self._left.values():
             ray.kill(handle)
+        self._left.clear()
+
+    def close(self) -> None:
+        self.end_left()
         ray.shutdown()
 
     def _node_apart(self, name: str) -> Any:
