@@ -82,6 +82,45 @@ def test_actors_are_added_and_removed_during_a_run(
     assert admitted == counts  # every episode is accounted for
 
 
+def test_a_run_waits_for_a_place_longer_than_for_episodes_and_says_so_once(
+    runtimes: list[WorkersRuntime],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    begun_s = time.monotonic()
+    start = ThreadPlatform.start
+
+    def full() -> bool:
+        return time.monotonic() < begun_s + 5
+
+    class Waiting(ThreadCall):
+        def done(self) -> bool:
+            return not full() and super().done()
+
+    class WaitingProcess(ThreadProcess):
+        def placed(self) -> bool:
+            return not full()
+
+        def call(self, method: str, *values: Any) -> ThreadCall:
+            return Waiting(getattr(self._worker, method), values)
+
+    def start_waiting(self: ThreadPlatform, kind: type[Any], name: str, *values: Any, **how: Any) -> ThreadProcess:
+        if name.startswith("actor"):
+            return WaitingProcess(kind(*values))
+        return start(self, kind, name, *values, **how)
+
+    monkeypatch.setattr(ThreadPlatform, "start", start_waiting)
+    monkeypatch.setattr("giirl_core.processes.waiting.PATIENCE_S", 1.0)
+    run(tmp_path / "run", "runtime=local", *FEW, "stream.take_timeout_s=2", "actors.count=2", "actors.chrome=1")
+    assert time.monotonic() > begun_s + 5
+    said = [record.message for record in caplog.records if "place" in record.message]
+    assert len(said) == 2
+    assert said[0].startswith("actor-0 and 1 more of 3 processes waited ")
+    assert "actor-0 asks for 1 CPU, 1000 MB of memory, 1 chrome, free are threads; add a node" in said[0]
+    assert said[1].startswith("all processes have a place")
+
+
 def test_on_a_cluster_connections_are_encrypted_and_no_secret_key_leaves_its_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
