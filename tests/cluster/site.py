@@ -114,8 +114,8 @@ class Site:
     def stop(self, command: Command) -> int:
         """End the run as a job is stopped; returns how many episodes are then unaccounted for.
 
-        Those are episodes that an actor has counted and that the checkpoint neither trained on, nor queued, nor dropped.
-        The actors delete their counts at the end, so the files are linked before.
+        Those are episodes that an actor has counted, and that the checkpoint neither trained on, nor queued, nor
+        dropped. The actors delete their counts at the end, so the files are linked before.
         """
         identity, links = (self.run / "identity").read_text(), short_folder()
         for name, machine in self.machines.items():
