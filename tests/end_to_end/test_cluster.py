@@ -121,6 +121,27 @@ def test_a_run_waits_for_a_free_cpu_and_says_what_it_needs(cluster: Cluster, fol
         assert command.wait() == 0, command.err
 
 
+def test_giirl_clean_removes_what_a_killed_learner_left(cluster: Cluster, folder: Path) -> None:
+    run = folder / "killed"
+    words = ("train", str(folder / "tiny.toml"), "runtime=ray", f"run={run}", "iterations=100000")
+    with Command(*words, env=cluster.driver) as command:
+        command.until(lambda: step(run) > 1, "first iterations", timeout_s=150)
+        with Command("status", run, env=cluster.driver) as status:
+            assert status.wait() == 0, status.err
+            assert status.out.startswith(f"{run}: training; iteration ")
+            assert "actor           1 running" in status.out
+        with Command("clean", run, env=cluster.driver) as clean:
+            assert clean.wait() == 1
+            assert f"{run} is under way: giirl stop {run} first" in clean.err
+        command.process.kill()
+        command.process.wait()
+    assert len(cluster.left(run)) > 3
+    with Command("clean", run, env=cluster.driver) as clean:
+        assert clean.wait() == 0, clean.err
+        assert "removed " in clean.err
+    cluster.head.until(lambda: cluster.left(run) == [], "an empty cluster")
+
+
 def test_a_job_with_an_unknown_setting_fails_with_an_error_message(cluster: Cluster, folder: Path) -> None:
     arguments = ("job", "submit", "--", "giirl", "train", "iteration=4", f"run={folder / 'no'}", "runtime=ray")
     with Command(*arguments, program=[cluster.job["RAY"]], env=cluster.job) as job:
