@@ -10,6 +10,7 @@ import logging
 import os
 import secrets
 import signal
+import socket
 import time
 from collections import Counter
 from collections.abc import Collection, Mapping
@@ -31,6 +32,7 @@ START_ATTEMPTS = 3  # on a busy machine a node can need longer than the 30 s tha
 DEATH_INFO_TIMEOUT_MS = 100  # how long Ray waits to learn whether a process died or is unreachable; its default is 1 s
 PENDING_POLL_S = 1.0  # between two requests for the list of actors without a place
 DEAD_S = 30.0  # `giirl clean` takes a learner for dead that its processes have not heard of for this long
+CONNECT_TIMEOUT_S = 3.0  # to the head of a cluster
 ANSWER_TIMEOUT_S = 5.0  # for processes that `giirl clean` asks
 QUIET: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
 THREADS = 16  # of one process: one runs the main loop, the others serve calls
@@ -212,10 +214,9 @@ def kill_left(runs: Collection[str], *, dry_run: bool) -> list[str]:
 
     Returns their names. A run is dead when none of its processes has heard of its learner for DEAD_S.
     """
-    try:
-        _join()
-    except ConnectionError:  # there is no cluster
+    if not _cluster_answers():
         return []
+    _join()
     try:
         found: dict[str, dict[str, Any]] = {}
         for name in ray.util.list_named_actors():
@@ -267,6 +268,22 @@ def _init(config: Config) -> None:
         object_store_memory=256 << 20,
         **QUIET,
     )
+
+
+def _cluster_answers() -> bool:
+    """Whether this machine was started as a node of a cluster whose head answers.
+
+    Without this check Ray would wait for minutes, or find the Ray of another run on this machine.
+    """
+    address = os.environ.get("RAY_ADDRESS") or ray._private.services.find_bootstrap_address(None)
+    if not address or address.startswith("http"):
+        return bool(address)  # `_join` refuses the address of a dashboard
+    host, _, port = address.rpartition(":")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=CONNECT_TIMEOUT_S).close()
+    except (OSError, ValueError):
+        return False
+    return True
 
 
 def _join() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import socket
+from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -34,7 +36,10 @@ class FakeRay:
         self.nodes_up = [self._node(name) for name in ("n1", "n2", "n3")]
         self.dead_jobs = {"01"}
         state = SimpleNamespace(actor_table=self.actor_table, job_table=self.job_table)
-        self._private = SimpleNamespace(state=SimpleNamespace(state=state))
+        self.head = socket.create_server(("127.0.0.1", 0))
+        self.address: str | None = f"127.0.0.1:{self.head.getsockname()[1]}"
+        services = SimpleNamespace(find_bootstrap_address=lambda folder: self.address)
+        self._private = SimpleNamespace(state=SimpleNamespace(state=state), services=services)
         self.util = SimpleNamespace(list_named_actors=lambda: list(self.actors), get_node_ip_address=lambda: "10.0.0.1")
         self.ObjectRef = str
 
@@ -95,11 +100,12 @@ class FakeRay:
 
 
 @pytest.fixture
-def cluster(monkeypatch: pytest.MonkeyPatch) -> FakeRay:
+def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeRay]:
     fake = FakeRay()
     monkeypatch.setattr(ray_platform, "ray", fake)
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
-    return fake
+    with fake.head:
+        yield fake
 
 
 def platform(run: str = "mine-1") -> RayPlatform:
@@ -176,6 +182,13 @@ def test_only_processes_whose_learner_is_gone_are_cleaned_up(cluster: FakeRay) -
     assert cluster.killed == []
     assert kill_left([], dry_run=False) == gone == sorted(cluster.killed)
     assert kill_left(["living"], dry_run=False) == ["living/actor-0/c/1"]
+
+
+@pytest.mark.parametrize("address", [None, "127.0.0.1:9"])
+def test_without_a_cluster_that_answers_there_is_nothing_to_clean_up(cluster: FakeRay, address: str | None) -> None:
+    cluster.add("dead/actor-0/c/1")
+    cluster.address = address
+    assert kill_left([], dry_run=False) == []
 
 
 def test_the_address_of_the_dashboard_is_refused_in_one_line(cluster: FakeRay, monkeypatch: pytest.MonkeyPatch) -> None:
