@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 
 import giirl.run.serial as serial
+import giirl.run.train as giirl_run
 from browser_farm.fake import FakeFarm
 from giirl.run.evaluate import result_table
 from giirl.run.folder import RunFolder
 from giirl.run.serial import SerialRuntime
 from giirl.signals import Stopped
 from giirl_core.types import Command, Episode, Outcome, StepResult
-from learner.checkpoint import latest_checkpoint
+from learner.checkpoint import latest_checkpoint, save_checkpoint
 from tests.giirl.small import run
 
 STEPS = 4
@@ -168,6 +169,20 @@ def test_changed_discriminator_rewards_do_affect_training(
 
     monkeypatch.setattr(SerialRuntime, "take", generous)
     assert run(tmp_path / "run")[PARAMETERS] != straight[1][PARAMETERS]
+
+
+def test_a_long_iteration_is_saved_at_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    saved: list[int] = []
+    save = save_checkpoint
+
+    def saving(folder: Path, step: int, *values: Any, **named: Any) -> Path:
+        saved.append(step)
+        return save(folder, step, *values, **named)
+
+    monkeypatch.setattr(giirl_run, "save_checkpoint", saving)
+    monkeypatch.setattr(giirl_run, "LONG_ITERATION_S", 0.0)
+    run(tmp_path / "run", "checkpoint_every=100")
+    assert saved == list(range(STEPS + 1))
 
 
 def test_training_demonstrations_and_evaluation_never_share_a_page(
