@@ -54,7 +54,11 @@ class Machine:
         Path("/tmp/ray").mkdir(exist_ok=True)
         words = ["unshare", "--pid", "--fork", "--mount-proc", "--kill-child", "sh", "-c", PREPARE]
         self._first = subprocess.Popen(
-            ["ip", "netns", "exec", self._namespace, *words], stdout=subprocess.PIPE, text=True, start_new_session=True
+            ["ip", "netns", "exec", self._namespace, *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            start_new_session=True,
         )
         assert self._first.stdout is not None
         assert self._first.stdout.readline() == "ready\n"
@@ -65,7 +69,7 @@ class Machine:
         _ip("link", "set", self._cable, "down")
         if self._first is not None:
             os.kill(self._inside, signal.SIGKILL)
-            self._first.wait(START_S)
+            self._first.communicate(timeout=START_S)
             self._first = None
 
     def unplug(self) -> None:
