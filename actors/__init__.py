@@ -21,12 +21,13 @@ _MODULES = {
     "ExpertAgent": "actors.agents",
     "PolicyAgent": "actors.agents",
     "RandomAgent": "actors.agents",
-    "Schedule": "actors.rollouts",
+    "Schedule": "actors.schedule",
     "play": "actors.rollouts",
 }
 
 if TYPE_CHECKING:
     from actors.agents import Agent, Decision, ExpertAgent, PolicyAgent, RandomAgent
-    from actors.rollouts import Schedule, play
+    from actors.rollouts import play
+    from actors.schedule import Schedule
 else:
     __getattr__, __dir__ = lazy_exports(__name__, _MODULES)

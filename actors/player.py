@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass
 from typing import Literal, Protocol
@@ -10,7 +10,7 @@ from typing import Literal, Protocol
 from actors.agents import Agent, ExpertAgent, PolicyAgent, RandomAgent
 from actors.browser import open_browser
 from actors.rollouts import play_pages
-from browser_farm.experts import expert
+from browser_farm.mixed import expert_of
 from giirl_core.config import Config
 from giirl_core.metrics import Metrics
 from giirl_core.nets.language import load_vectors
@@ -33,9 +33,19 @@ class Player(Protocol):
     """Plays pages with an agent."""
 
     def play(
-        self, spec: AgentSpec, purpose: Purpose, pages: int, *, first: int = 0, job: Job | None = None
+        self,
+        spec: AgentSpec,
+        purpose: Purpose,
+        pages: int,
+        *,
+        tasks: Sequence[str] = (),
+        first: int = 0,
+        job: Job | None = None,
     ) -> list[Episode]:
-        """Play the pages `first` to `first + pages - 1` of each task, with the seeds of `purpose`, in any order."""
+        """Play the pages `first` to `first + pages - 1` of each task, with the seeds of `purpose`, in any order.
+
+        Empty `tasks` means all tasks of the config.
+        """
         ...
 
 
@@ -45,7 +55,7 @@ OpenPlayer = Callable[[Config, Metrics], AbstractContextManager[Player]]
 def build_agent(spec: AgentSpec, config: Config) -> Agent:
     """The agent that a spec describes."""
     if spec.kind == "expert":
-        return ExpertAgent(expert)
+        return ExpertAgent(expert_of)
     if spec.kind == "random":
         return RandomAgent()
     assert spec.policy is not None
@@ -61,10 +71,20 @@ class BrowserPlayer:
         self._config, self._browser, self._metrics = config, browser, metrics
 
     def play(
-        self, spec: AgentSpec, purpose: Purpose, pages: int, *, first: int = 0, job: Job | None = None
+        self,
+        spec: AgentSpec,
+        purpose: Purpose,
+        pages: int,
+        *,
+        tasks: Sequence[str] = (),
+        first: int = 0,
+        job: Job | None = None,
     ) -> list[Episode]:
-        agent = build_agent(spec, self._config)
-        return play_pages(self._config, self._browser, agent, purpose, pages, self._metrics, first=first, job=job)
+        """See `Player.play`."""
+        config, agent = self._config, build_agent(spec, self._config)
+        return play_pages(
+            config, self._browser, agent, purpose, pages, self._metrics, tasks=tasks, first=first, job=job
+        )
 
 
 @contextmanager

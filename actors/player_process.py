@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from contextlib import closing
 
 from actors.browser import open_browser
@@ -41,7 +42,7 @@ class PlayerProcess(WorkerProcess):
         finally:
             self._running = False
 
-    def play(self, spec: AgentSpec, purpose: Purpose, pages: int, first: int) -> list[bytes]:
+    def play(self, spec: AgentSpec, purpose: Purpose, pages: int, tasks: Sequence[str], first: int) -> list[bytes]:
         """The encoded episodes of pages of each task; see `Player.play`."""
         self.ping()
         while self._player is None and not self._stopped.is_set():  # `run` opens the browser, or fails
@@ -50,9 +51,8 @@ class PlayerProcess(WorkerProcess):
             player = self._player
             if player is None:
                 raise RuntimeError("this process has been stopped")
-            return [
-                encode_episode(episode, stamp=NO_STAMP) for episode in player.play(spec, purpose, pages, first=first)
-            ]
+            episodes = player.play(spec, purpose, pages, tasks=tasks, first=first)
+            return [encode_episode(episode, stamp=NO_STAMP) for episode in episodes]
 
     def stop(self) -> None:
         """Make `run` close the browser and return."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -104,7 +104,14 @@ class PagePool:
         self._pinged_s = time.monotonic()
 
     def play(
-        self, spec: AgentSpec, purpose: Purpose, pages: int, *, first: int = 0, job: Job | None = None
+        self,
+        spec: AgentSpec,
+        purpose: Purpose,
+        pages: int,
+        *,
+        tasks: Sequence[str] = (),
+        first: int = 0,
+        job: Job | None = None,
     ) -> list[Episode]:
         """See `Player.play`. RuntimeError when no process stays up, or when one share fails each time."""
         waiting, tries = deque(shares(first, pages, len(self._members))), Counter[Share]()
@@ -126,7 +133,7 @@ class PagePool:
                             job.advance(len(done))
                 if waiting and member.name not in working and member.running is not None:
                     share = waiting.popleft()
-                    call = member.process.call("play", spec, purpose, share.pages, share.first)
+                    call = member.process.call("play", spec, purpose, share.pages, tasks, share.first)
                     working[member.name] = _Work(share, member.running, call, time.monotonic())
             time.sleep(POLL_S)
         return episodes

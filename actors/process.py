@@ -10,7 +10,7 @@ from pathlib import Path
 from actors.agents import PolicyAgent
 from actors.browser import open_browser
 from actors.episode_counter import EpisodeCounter, counter_file, delete_counts
-from actors.rollouts import Schedule
+from actors.schedule import Schedule
 from actors.uplink import Uplink
 from actors.worker import Worker, WorkerLimits
 from giirl_core.algorithms import ALGORITHMS

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from actors.agents import Agent, Decision
+from actors.schedule import Schedule
 from giirl_core.config import Config
 from giirl_core.metrics import Metrics, waiting
 from giirl_core.progress import Job
@@ -26,62 +26,7 @@ from giirl_core.types import (
     Purpose,
     Trajectory,
     Verb,
-    page_seed,
 )
-
-
-class Schedule:
-    """Decides which episode each tab plays next. Each tab has a fixed set of tasks, and tasks share the tabs equally.
-
-    Episode `i` of a task has seed `page_seed(purpose, run_seed, first + i * stride)`. With a `quota`, each task is
-    played that many times; without one the schedule never ends.
-    """
-
-    EPISODES_PER_TURN = 10  # of one task before a tab changes to its next one, if there are more tasks than tabs
-    MAX_LOSSES = 3  # an episode that was lost this often is not played again
-
-    def __init__(
-        self,
-        tasks: Sequence[str],
-        tabs: int,
-        *,
-        purpose: Purpose,
-        run_seed: int,
-        first: int = 0,
-        stride: int = 1,
-        quota: int | None = None,
-    ) -> None:
-        self._tasks_of_tab = [
-            tasks[tab::tabs] if len(tasks) > tabs else [tasks[tab % len(tasks)]] for tab in range(tabs)
-        ]
-        self._purpose, self._run_seed, self._first, self._stride = purpose, run_seed, first, stride
-        self._quota = quota
-        self._started = dict.fromkeys(tasks, 0)  # number of episodes of each task
-        self._started_by_tab = [0] * tabs
-        self._requeued: list[EpisodeSpec] = []
-        self._losses: Counter[EpisodeSpec] = Counter()
-
-    def next(self, tab: int) -> EpisodeSpec | None:
-        """The tab's next episode; None when the quota of its tasks is reached."""
-        tasks = self._tasks_of_tab[tab]
-        for spec in self._requeued:
-            if spec.task in tasks:
-                self._requeued.remove(spec)
-                return spec
-        open_tasks = [task for task in tasks if self._quota is None or self._started[task] < self._quota]
-        if not open_tasks:
-            return None
-        task = open_tasks[self._started_by_tab[tab] // self.EPISODES_PER_TURN % len(open_tasks)]
-        self._started_by_tab[tab] += 1
-        index = self._first + self._started[task] * self._stride
-        self._started[task] += 1
-        return EpisodeSpec(task=task, seed=page_seed(self._purpose, self._run_seed, index))
-
-    def requeue(self, spec: EpisodeSpec) -> None:
-        """Play a lost episode again, unless it was lost MAX_LOSSES times, because some pages break every browser."""
-        self._losses[spec] += 1
-        if self._losses[spec] < self.MAX_LOSSES:
-            self._requeued.append(spec)
 
 
 @dataclass(slots=True)
@@ -127,8 +72,12 @@ def play(
         starting = dict(list(waiting_tabs.items())[: max(0, gate(len(slots)))])
         for tab in starting:
             del waiting_tabs[tab]
-        for tab, observation in (browser.reset(starting) if starting else {}).items():
-            slots[tab] = _open(observation, schedule, tab)
+        opened = browser.reset(starting) if starting else {}
+        for tab, spec in starting.items():
+            if tab in opened:
+                slots[tab] = _open(opened[tab], schedule, tab)
+            else:
+                _give_back(spec, schedule, tab, browser, waiting_tabs, metrics)
         if slots:
             yield _play_round(browser, agent, schedule, slots, waiting_tabs, step_limit, metrics, gate)
         elif waiting_tabs:
@@ -176,7 +125,25 @@ def _play_round(
             slots[tab] = _open(result.observation, schedule, tab)
         elif slot.following is not None and commands[tab].following is None:
             waiting_tabs[tab] = slot.following
+        elif slot.following is not None:
+            _give_back(slot.following, schedule, tab, browser, waiting_tabs, metrics)
     return ended
+
+
+def _give_back(
+    spec: EpisodeSpec,
+    schedule: Schedule,
+    tab: int,
+    browser: Browser,
+    waiting_tabs: dict[int, EpisodeSpec],
+    metrics: Metrics,
+) -> None:
+    """An episode whose page did not open is void: it is played again. The tab goes on with its next one."""
+    metrics.episodes.labels(spec.task, "lost").inc()
+    schedule.requeue_unopened(spec, browser.unopened.get(tab, ""))
+    following = schedule.next(tab)
+    if following is not None:
+        waiting_tabs[tab] = following
 
 
 def play_pages(
@@ -208,6 +175,7 @@ def play_pages(
 
 
 def _open(observation: Observation, schedule: Schedule, tab: int) -> Slot:
+    schedule.opened(observation.episode)
     rng = np.random.default_rng([observation.episode.seed, 1])
     return Slot(observation=observation, following=schedule.next(tab), rng=rng)
 

@@ -14,7 +14,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from actors.agents import PolicyAgent
-from actors.rollouts import Schedule, always_open, play
+from actors.rollouts import always_open, play
+from actors.schedule import Schedule
 from actors.uplink import Refused, Uplink
 from giirl_core.metrics import Metrics, waiting
 from giirl_core.types import UNSCORED, Browser, Episode

@@ -16,7 +16,8 @@ import psutil
 
 from actors.agents import RandomAgent
 from actors.browser import open_browser
-from actors.rollouts import Schedule, play
+from actors.rollouts import play
+from actors.schedule import Schedule
 from benchmarks.pages import load_fixture
 from giirl_core.config import DEFAULT_TASKS, ActorConfig, Config
 from giirl_core.metrics import Metrics
@@ -67,8 +68,8 @@ def _train(case: str, actors: int, tabs: int) -> dict[str, Any]:
         if process.wait(TIMEOUT_S):
             assert process.stderr is not None
             raise RuntimeError(f"the training run failed: {process.stderr.read().strip().splitlines()[-1:]}")
-        points = [json.loads(line) for line in (run / "curve.jsonl").read_text().splitlines()]
-        flow = json.loads((run / "result.json").read_text())["flow"]
+        points = [json.loads(line) for line in (run / "curve.jsonl").read_text(encoding="utf-8").splitlines()]
+        flow = json.loads((run / "result.json").read_bytes())["flow"]
     measured = points[int(WARM_UP * len(points)) :]
     seconds = measured[-1]["seconds"] - measured[0]["seconds"]
     total = sum(cpu.values()) or 1.0

@@ -87,6 +87,7 @@ class FakeFarm:
 
     def __init__(self, *, tabs: int = 8) -> None:
         self.tabs = tabs
+        self.unopened: dict[int, str] = {}  # every page opens
         self._open: dict[int, FakeTab] = {}
 
     def reset(self, episodes: Mapping[int, EpisodeSpec]) -> dict[int, Observation]:

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from types import TracebackType
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from browser_farm import pages
 from browser_farm.chrome import trusted_input
-from browser_farm.chrome.answers import Failure
+from browser_farm.chrome.answers import Failure, decode, pixels
 from browser_farm.chrome.devtools import BrowserGone
 from browser_farm.chrome.tabs import Tabs
 from browser_farm.tasks import needs_fresh_document, page_url
+from giirl_core.config.sections import Sandbox
 from giirl_core.types import Command, EpisodeSpec, Goal, Observation, StepResult, Verb
 
 OPEN_ATTEMPTS = 4  # in the tab as it is, in a new document, in a new renderer process, in a new Chrome
+T = TypeVar("T")
 
 
 @dataclass(slots=True, kw_only=True)
@@ -41,7 +40,7 @@ class ChromeFarm:
     its cause: "page_hung", "tab_crashed", "navigated" or "page_error" once per tab, "browser_died" once per Chrome.
     Every call returns or raises within a few times `call_timeout_s` and `launch_timeout_s`.
 
-    Raises ValueError for a wrong argument, and RuntimeError when Chrome cannot be started or a page never opens.
+    Raises ValueError for a wrong argument, and RuntimeError when Chrome cannot be started.
     """
 
     def __init__(
@@ -51,8 +50,9 @@ class ChromeFarm:
         call_timeout_s: float = 10.0,
         launch_timeout_s: float = 60.0,
         headless: bool = True,
-        no_sandbox: bool | None = None,  # None: only as root, where Chrome refuses to run otherwise
+        chrome_sandbox: Sandbox = "auto",  # GIIRL_CHROME_SANDBOX, else "on", but "off" as root, where Chrome refuses it
         view: pages.View = pages.ROWS,
+        base_url: str = "",  # folder of the pages, as file:// or http:// URL; "" for those of the miniwob package
         trusted: bool = False,  # act through Chrome's native mouse and keyboard input instead of DOM events
         on_restart: Callable[[str], None] = lambda cause: None,
     ) -> None:
@@ -62,6 +62,8 @@ class ChromeFarm:
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"ChromeFarm.{name} is {value}: wanted a number of seconds above 0")
         self.tabs = tabs
+        self.unopened: dict[int, str] = {}
+        self._base_url = base_url
         self._view = replace(view, emulation=(*view.emulation, *trusted_input.EMULATION)) if trusted else view
         self._trusted = trusted
         self._on_restart = on_restart
@@ -73,7 +75,8 @@ class ChromeFarm:
             call_timeout_s=call_timeout_s,
             launch_timeout_s=launch_timeout_s,
             headless=headless,
-            no_sandbox=no_sandbox,
+            sandbox=chrome_sandbox,
+            base_url=base_url,
         )
         try:
             self._tabs.launch()
@@ -84,9 +87,7 @@ class ChromeFarm:
     def __enter__(self) -> ChromeFarm:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
@@ -97,7 +98,8 @@ class ChromeFarm:
     def reset(self, episodes: Mapping[int, EpisodeSpec]) -> dict[int, Observation]:
         self._check_tabs(episodes)
         for episode in episodes.values():
-            page_url(episode.task)
+            page_url(episode.task, self._base_url)
+        self.unopened.clear()
         return self._open(dict(episodes))
 
     def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]:
@@ -105,7 +107,8 @@ class ChromeFarm:
         requests: dict[int, pages.Json] = {}
         for command in commands.values():
             if command.following is not None:
-                page_url(command.following.task)
+                page_url(command.following.task, self._base_url)
+        self.unopened.clear()
         acted = self._send_trusted_input(commands) if self._trusted else set()
         for tab, command in commands.items():
             state = self._states[tab]
@@ -130,29 +133,19 @@ class ChromeFarm:
 
         Returns b"" for a tab that does not answer; its episode is reported as lost by the next step.
         """
-        self._check_tabs({tab: None})
-        if self._states[tab].lost:
-            return b""
-        try:
-            png = self._tabs.screenshot(tab, box, scale)
-        except BrowserGone:
-            self._relaunch()
-            return b""
-        if isinstance(png, Failure):
-            self._lose(tab, png)
-            return b""
-        return png
+        return self._call(tab, lambda: self._tabs.screenshot(tab, box, scale)) or b""
+
+    def run_script(self, tab: int, script: str) -> str | None:
+        """Run a script in a tab's page; the string that it ends with, None for a tab that does not answer."""
+        return self._call(tab, lambda: self._tabs.evaluate({tab: script})[tab])
+
+    def refresh(self, tab: int) -> None:
+        """Let the tab's next episode load its document anew."""
+        self._states[tab].task = None
 
     def screenshots(self, tabs: Iterable[int], width: int, height: int) -> dict[int, NDArray[np.uint8]]:
-        """[height, width, 3] RGB of each tab's upper left corner, taken one by one: Chrome draws only the front tab.
-
-        The image of a tab that does not answer is black; its episode is reported as lost by the next step.
-        """
-        images = {tab: np.zeros((height, width, 3), dtype=np.uint8) for tab in tabs}
-        for tab, image in images.items():
-            if png := self.screenshot(tab, (0, 0, width, height)):
-                image[:] = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
-        return images
+        """[height, width, 3] RGB of each tab's upper left corner, taken one by one; black for a tab without picture."""
+        return {tab: pixels(self.screenshot(tab, (0, 0, width, height)), width, height) for tab in tabs}
 
     def close(self) -> None:
         self._closed = True
@@ -165,6 +158,21 @@ class ChromeFarm:
             if not 0 <= tab < self.tabs:
                 raise ValueError(f"there is no tab {tab}: wanted 0 to {self.tabs - 1}")
 
+    def _call(self, tab: int, call: Callable[[], T | Failure]) -> T | None:
+        """The result of a call to one tab; None if there is none, and its episode is lost."""
+        self._check_tabs({tab: None})
+        if self._states[tab].lost:
+            return None
+        try:
+            outcome = call()
+        except BrowserGone:
+            self._relaunch()
+            return None
+        if isinstance(outcome, Failure):
+            self._lose(tab, outcome)
+            return None
+        return outcome
+
     def _ask(self, requests: Mapping[int, pages.Json]) -> dict[int, pages.Answer]:
         """The answers of the pages. A tab without one is marked as lost and recovered."""
         answers: dict[int, pages.Answer] = {}
@@ -172,7 +180,7 @@ class ChromeFarm:
             return answers
         try:
             for tab, outcome in self._tabs.ask(requests).items():
-                answer = _decode(outcome, self._view)
+                answer = decode(outcome, self._view)
                 if isinstance(answer, Failure):
                     self._lose(tab, answer)
                 else:
@@ -210,12 +218,18 @@ class ChromeFarm:
         observation = None
         if answer.page is not None and state.episode is not None and state.goal is not None:
             observation = Observation(episode=state.episode, page=answer.page, goal=state.goal)
-        return StepResult(raw_reward=answer.raw_reward, done=answer.done, observation=observation, reason=answer.reason)
+        return StepResult(
+            raw_reward=answer.raw_reward,
+            done=answer.done,
+            observation=observation,
+            reason=answer.reason,
+            scaled_reward=answer.scaled_reward,
+        )
 
     def _open(self, episodes: dict[int, EpisodeSpec]) -> dict[int, Observation]:
-        """Open an episode in each tab, recovering from failures; RuntimeError when one does not open."""
+        """Open an episode in each tab, recovering from failures. `unopened` says why one did not open."""
         opened: dict[int, Observation] = {}
-        last = Failure(cause="")
+        failures: dict[int, Failure] = {}  # the last of each tab
         for tab in episodes:
             self._states[tab].episode, self._states[tab].lost = None, ""
         for attempt in range(OPEN_ATTEMPTS):
@@ -224,33 +238,31 @@ class ChromeFarm:
                 break
             try:
                 for tab, failure in self._try_open(missing, opened).items():
-                    last = failure
+                    failures[tab] = failure
                     self._recover(tab, failure, attempt=attempt)
             except BrowserGone as error:
-                last = Failure(cause="browser_died", message=str(error))
+                failures |= dict.fromkeys(episodes, Failure(cause="browser_died", message=str(error)))
                 self._relaunch()
                 opened.clear()
                 for tab in episodes:
                     self._states[tab].episode, self._states[tab].lost = None, ""
         for tab, episode in episodes.items():
             if tab not in opened:
-                raise RuntimeError(
-                    f"task {episode.task} with seed {episode.seed} does not open in tab {tab} "
-                    f"after {OPEN_ATTEMPTS} attempts: {last.cause} {last.message}".rstrip()
-                )
-        return {tab: opened[tab] for tab in episodes}
+                page = f"task {episode.task} with seed {episode.seed}"
+                self.unopened[tab] = f"{page} does not open after {OPEN_ATTEMPTS} attempts: {failures[tab]}"
+        return {tab: opened[tab] for tab in episodes if tab in opened}
 
     def _try_open(self, missing: Mapping[int, EpisodeSpec], opened: dict[int, Observation]) -> dict[int, Failure]:
         """Open each episode once. Adds observations to `opened` and returns the failures."""
         urls = {
-            tab: page_url(episode.task)
+            tab: page_url(episode.task, self._base_url)
             for tab, episode in missing.items()
             if self._states[tab].task != episode.task or needs_fresh_document(episode.task)
         }
         failures = self._tabs.navigate(urls) if urls else {}
         requests = {tab: pages.start_call(episode) for tab, episode in missing.items() if tab not in failures}
         for tab, outcome in self._tabs.ask(requests, opening=True).items():
-            answer = _decode(outcome, self._view)
+            answer = decode(outcome, self._view)
             if isinstance(answer, Failure):
                 failures[tab] = answer
             elif answer.page is None or answer.goal is None:
@@ -277,7 +289,7 @@ class ChromeFarm:
                     self._on_restart("tab_crashed")
                     self._states[other].lost = "tab_crashed"
         elif attempt == 2 and failure.cause != "page_error":  # a new Chrome does not repair an error of the page
-            raise BrowserGone(f"tab {tab} does not recover: {failure.cause} {failure.message}".rstrip())
+            raise BrowserGone(f"tab {tab} does not recover: {failure}")
 
     def _relaunch(self) -> None:
         self._on_restart("browser_died")
@@ -286,14 +298,3 @@ class ChromeFarm:
             if state.episode is not None:
                 state.lost = "browser_died"
         self._tabs.launch()
-
-
-def _decode(outcome: Any | Failure, view: pages.View) -> pages.Answer | Failure:
-    if isinstance(outcome, Failure):
-        return outcome
-    if outcome == pages.GONE:
-        return Failure(cause="navigated")
-    try:
-        return pages.decode(outcome, view)
-    except (ValueError, TypeError, OverflowError) as error:
-        return Failure(cause="page_error", message=str(error))

@@ -30,16 +30,21 @@ def source(name: str) -> str:
     return (Path(__file__).parent / "js" / f"{name}.js").read_text(encoding="utf-8")
 
 
+def _begin(episode: EpisodeSpec) -> Json:
+    """Seed and mode of an episode. The seed is text: JavaScript's numbers are exact to 2**53 only."""
+    return [str(int(episode.seed)), episode.mode]
+
+
 def start_call(episode: EpisodeSpec) -> Json:
     """Request to open an episode."""
-    return [[episode.seed, episode.mode]]
+    return [_begin(episode)]
 
 
 def step_call(command: Command, task: str) -> Json:
     """Request to act, and to open the following episode in the same document if it has the same task."""
     following = command.following
     same_document = following is not None and following.task == task and not needs_fresh_document(task)
-    next_episode = [following.seed, following.mode] if following is not None and same_document else None
+    next_episode = _begin(following) if following is not None and same_document else None
     return [_encode_action(command), command.last, next_episode]
 
 
@@ -54,7 +59,7 @@ def _encode_action(command: Command) -> Json:
 
 def decode_page(columns: list[Any]) -> Page:
     """A Page from the columns that reading.js returns."""
-    tag, text, value, classes, numbers, boxes, drawings = columns
+    tag, text, value, classes, numbers, boxes, details = columns
     table = np.array(numbers, dtype=np.int32).reshape(-1, 3)
     flags = table[:, 2]
     return Page(
@@ -67,8 +72,9 @@ def decode_page(columns: list[Any]) -> Page:
         box=np.array(boxes, dtype=np.float32).reshape(-1, 4),
         focused=(flags & FOCUSED) != 0,
         tampered=(flags & TAMPERED) != 0,
-        colour=_dense_column(drawings[::3], drawings[1::3], len(tag)),
-        shape=_dense_column(drawings[::3], drawings[2::3], len(tag)),
+        colour=_dense_column(details[::4], details[1::4], len(tag)),
+        shape=_dense_column(details[::4], details[2::4], len(tag)),
+        attributes=_dense_column(details[::4], details[3::4], len(tag)),
     )
 
 
@@ -90,6 +96,8 @@ class View:
     decode: Callable[[Json], Page]
     emulation: tuple[tuple[str, dict[str, Any]], ...] = ()  # DevTools methods and parameters, called once in every tab
     first: tuple[str, ...] = ()  # scripts to run before all others
+    real_time: bool = False  # pages keep their own clock, time limit and animations
+    wait_ms: float = 0.0  # pause after each action, ms of the page's clock
 
     @functools.cached_property
     def script(self) -> str:
@@ -97,9 +105,14 @@ class View:
         names = (*self.first, *SCRIPTS)
         parts = [source(name) for name in names]
         parts.insert(names.index("frame"), f"const view = {self.reader};")
-        codes = json.dumps({**keys.NAMED_KEYS, **keys.CHARACTER_CODES})
-        head = f"(() => {{\nif ('giirlFrame' in window) return;\nconst KEY_CODES = {codes};\n"
-        return head + "\n".join(parts) + "\n})();\n"
+        constants = {
+            "KEY_CODES": {**keys.NAMED_KEYS, **keys.CHARACTER_CODES},
+            "TYPED_KEYS": keys.TYPED_KEYS,
+            "REAL_TIME": self.real_time,
+            "WAIT_MS": self.wait_ms,
+        }
+        head = "".join(f"const {name} = {json.dumps(value)};\n" for name, value in constants.items())
+        return f"(() => {{\nif ('giirlFrame' in window) return;\n{head}" + "\n".join(parts) + "\n})();\n"
 
 
 ROWS = View(reader="reading", decode=decode_page)
@@ -114,15 +127,17 @@ class Answer:
     page: Page | None
     goal: Goal | None
     reason: str  # for the reward, "" unless the page gives one
+    scaled_reward: float | None = None  # reward scaled by the time that was left; None unless pages run in real time
 
 
 def decode(answer: Json, view: View = ROWS) -> Answer:
     """Decode an answer of page.js; ValueError or TypeError when it is malformed."""
-    raw_reward, done, columns, utterance, *reason = answer
+    raw_reward, done, columns, utterance, *end = answer
     return Answer(
         raw_reward=float(raw_reward),
         done=bool(done),
         page=None if columns is None else view.decode(columns),
         goal=None if utterance is None else Goal(utterance),
-        reason=str(reason[0]) if reason else "",
+        reason=str(end[0]) if end else "",
+        scaled_reward=float(end[1]) if len(end) > 1 else None,
     )

@@ -6,6 +6,8 @@ import difflib
 import functools
 import importlib.util
 from pathlib import Path
+from urllib.parse import urljoin, urlsplit
+from urllib.request import url2pathname
 
 # Pages whose state survives a reset in JavaScript (a widget, the value of a field, a price). They are reloaded for each
 # episode; for all other pages the reset is enough.
@@ -67,13 +69,31 @@ def tasks(family: str = "") -> tuple[str, ...]:
     return chosen
 
 
-def page_url(task: str) -> str:
-    """The file:// URL of a task's page; ValueError with the nearest name when there is no such task."""
+def page_url(task: str, base_url: str = "") -> str:
+    """The URL of a task's page in the installed package, or in the folder `base_url`.
+
+    ValueError with the nearest name when there is no such task.
+    """
+    if base_url:
+        return _url_below(base_url, task)
     path = _pages().get(task)
     if path is None:
         near = difflib.get_close_matches(task, _pages(), n=1, cutoff=0.0)
         raise ValueError(f"there is no MiniWoB task {task!r}: did you mean {near[0]!r}? ({len(_pages())} tasks)")
     return path.as_uri()
+
+
+def _url_below(base_url: str, task: str) -> str:
+    """The URL of a task's page in a folder as the miniwob package has them; ValueError for one that is not there."""
+    name = f"{task.replace('.', '/')}/wrapper.html" if task.startswith("flight.") else f"{task}.html"
+    url = urljoin(base_url, name)
+    parts = urlsplit(url)
+    of_server = parts.scheme in ("http", "https") and parts.hostname
+    if not (base_url.endswith("/") and (parts.scheme == "file" or of_server)):
+        raise ValueError(f"base_url is {base_url!r}: wanted a folder's file:// or http:// URL, with a slash at its end")
+    if parts.scheme == "file" and not Path(url2pathname(parts.path)).is_file():
+        raise ValueError(f"base_url {base_url} has no page of the task {task!r}: there is no file {parts.path}")
+    return url
 
 
 def needs_fresh_document(task: str) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,8 +23,9 @@ class Score:
     successes: int
 
     @property
-    def success(self) -> float:
-        return self.successes / self.episodes
+    def success(self) -> float | None:
+        """The success rate; None without episodes."""
+        return self.successes / self.episodes if self.episodes else None
 
     def __add__(self, other: Score) -> Score:
         return Score(episodes=self.episodes + other.episodes, successes=self.successes + other.successes)
@@ -42,9 +43,29 @@ class Score:
     def interval(self) -> tuple[float, float]:
         """The 95 % score interval of the success rate (Wilson 1927)."""
         n, p = self.episodes, self.success
+        if p is None:
+            return 0.0, 1.0
         centre = (p + Z_95**2 / (2 * n)) / (1 + Z_95**2 / n)
         half = Z_95 / (1 + Z_95**2 / n) * math.sqrt(p * (1 - p) / n + Z_95**2 / (4 * n**2))
         return max(0.0, centre - half), min(1.0, centre + half)
+
+
+def percent(share: float | None) -> str:
+    """A share in percent, for a table; "-" for None."""
+    return "-" if share is None else f"{100 * share:.1f}"
+
+
+def missing_pages(rows: Mapping[str, Mapping[str, Any]]) -> str:
+    """Which tasks have pages that no browser could play, and how many; "" when there is none.
+
+    They are left out of the success rates: an episode that a broken browser or page has ended is no failure.
+    """
+    missing = [
+        f"{count} of {row['episodes'] + count} pages of {task}"
+        for task, row in rows.items()
+        if (count := row.get("missing", 0))
+    ]
+    return f"Not played, because the browser or the page broke: {', '.join(missing)}." if missing else ""
 
 
 def lowest_window(successes: Sequence[bool], window: int) -> float | None:

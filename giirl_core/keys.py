@@ -6,8 +6,11 @@ import functools
 
 # Values of KeyboardEvent.key, with the deprecated `keyCode` that MiniWoB's pages still read.
 NAMED_KEYS = {
+    "Unidentified": 0,
+    "Cancel": 3,
     "Backspace": 8,
     "Tab": 9,
+    "Clear": 12,
     "Enter": 13,
     "Shift": 16,
     "Control": 17,
@@ -24,8 +27,10 @@ NAMED_KEYS = {
     "ArrowDown": 40,
     "Insert": 45,
     "Delete": 46,
+    "Help": 47,
     "Meta": 91,
     **{f"F{number}": 111 + number for number in range(1, 13)},
+    "ZenkakuHankaku": 243,
 }
 MODIFIERS = {"Alt": 1, "Control": 2, "Meta": 4, "Shift": 8}  # bits as in Chrome's Input domain
 # The other characters of a US keyboard (unshifted and shifted), with the code of their key.
@@ -47,6 +52,20 @@ CHARACTER_CODES = {
     " ": 32,
     **{character: code for pair, code in PUNCTUATION.items() for character in pair},
     **{character: ord("0") + digit for digit, character in enumerate(SHIFTED_DIGITS)},
+}
+# Characters that press a key when they are typed (https://www.w3.org/TR/webdriver/#keyboard-actions).
+_WEBDRIVER_RANGES = {
+    0xE000: "Unidentified Cancel Help Backspace Tab Clear Enter Enter Shift Control Alt Pause Escape",
+    0xE00E: "PageUp PageDown End Home ArrowLeft ArrowUp ArrowRight ArrowDown Insert Delete",
+    0xE018: "; = 0 1 2 3 4 5 6 7 8 9 * + , - . /",
+    0xE031: "F1 F2 F3 F4 F5 F6 F7 F8 F9 F10 F11 F12 Meta",
+    0xE040: "ZenkakuHankaku",
+    0xE050: "Shift Control Alt Meta PageUp PageDown End Home ArrowLeft ArrowUp ArrowRight ArrowDown Insert Delete",
+}
+TYPED_KEYS = {
+    "\n": "Enter",
+    chr(0xE00D): " ",
+    **{chr(first + n): key for first, keys in _WEBDRIVER_RANGES.items() for n, key in enumerate(keys.split())},
 }
 
 

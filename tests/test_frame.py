@@ -23,7 +23,7 @@ PRODUCT = (
     "reward_service",
 )
 PACKAGES = (*PRODUCT, "benchmarks")
-FOLDERS = (*PACKAGES, "tests", "deploy", "experiments", ".ci")
+FOLDERS = (*PACKAGES, "tests", "deploy", "examples", "experiments", ".ci")
 MAX_FILE_LINES = 300
 MAX_MODULES = 15  # of a folder, without __init__.py
 
@@ -42,11 +42,16 @@ MODULE_PATH = re.compile(rf"\b(?:{'|'.join(sorted(LEVEL, key=len, reverse=True))
 
 # Files with the path of a module in a string. `__init__.py` registers entry points and lists public names to be loaded
 # when they are first used; the others name a package with templates, and the command that made a result or a page.
-NAMES_MODULES = {"giirl/report/render.py", "giirl_core/config_reference.py", "benchmarks/gym_equality.py"}
+NAMES_MODULES = {
+    "giirl/report/render.py",
+    "giirl_core/config_reference.py",
+    "benchmarks/gym_equality.py",
+    "benchmarks/original_suite.py",
+}
 
 # The only module that may import each library that talks to the outside.
 SOLE_IMPORTER = {
-    "PIL": "browser_farm/farm.py",
+    "PIL": "browser_farm/chrome/answers.py",
     "jinja2": "giirl/report/render.py",
     "matplotlib": "giirl/figures.py",
     "miniwob": "browser_farm/gym/adapter.py",

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from browser_farm import pages
 from browser_farm.chrome.devtools import Reply
 
 
@@ -15,6 +21,9 @@ class Failure:
 
     cause: str
     message: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.cause} {self.message}".rstrip()
 
     @classmethod
     def hung(cls, timeout_s: float) -> Failure:
@@ -39,3 +48,22 @@ def parse_answers(answers: Iterable[tuple[int, Any]]) -> dict[int, Any | Failure
         error = answer.get("error") if isinstance(answer, dict) else None
         parsed[tab] = answer if error is None else Failure(cause="page_error", message=str(error))
     return parsed
+
+
+def decode(outcome: Any | Failure, view: pages.View) -> pages.Answer | Failure:
+    """The decoded answer of page.js, or why there is none."""
+    if isinstance(outcome, Failure):
+        return outcome
+    if outcome == pages.GONE:
+        return Failure(cause="navigated")
+    try:
+        return pages.decode(outcome, view)
+    except (ValueError, TypeError, OverflowError) as error:
+        return Failure(cause="page_error", message=str(error))
+
+
+def pixels(png: bytes, width: int, height: int) -> NDArray[np.uint8]:
+    """[height, width, 3] RGB of a PNG of that size; black for b""."""
+    if not png:
+        return np.zeros((height, width, 3), dtype=np.uint8)
+    return np.array(Image.open(io.BytesIO(png)).convert("RGB"))

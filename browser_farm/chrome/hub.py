@@ -11,6 +11,7 @@ from browser_farm import pages
 from browser_farm.chrome.answers import Failure, parse_answers, parse_evaluation
 from browser_farm.chrome.devtools import BROWSER, DevTools, Json, Reply
 
+WINDOW_OF_ITS_OWN = "popup,width=800,height=600"
 Call = tuple[str, str, Json]  # session, method, parameters
 
 
@@ -103,7 +104,9 @@ class Hub:
         return parse_answers(answers) | {culprit: hung}
 
     def _open(self, numbers: Sequence[int]) -> dict[int, Tab]:
-        self._run(f"hub.open({json.dumps(list(numbers))})", gesture=True)
+        # Chrome draws frames only in the front tab of a window, and in real time pages need them.
+        features = WINDOW_OF_ITS_OWN if self._view.real_time else ""
+        self._run(f"hub.open({json.dumps(list(numbers))},{json.dumps(features)})", gesture=True)
         targets = self._call(BROWSER, "Target.getTargets")["targetInfos"]
         opened = self._attach([info["targetId"] for info in targets if info.get("openerId") == self.page.target])
         names = self._call_all([(tab.session, "Runtime.evaluate", {"expression": "name"}) for tab in opened])

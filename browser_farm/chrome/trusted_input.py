@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from giirl_core.keys import MODIFIERS, NAMED_KEYS, key_code, parse_chord
+from giirl_core.keys import MODIFIERS, NAMED_KEYS, TYPED_KEYS, key_code, parse_chord
 from giirl_core.types import Command, Verb
 
 # Chrome dispatches input at once to a page that counts as focused; to a hidden page it may wait for a frame.
@@ -64,7 +64,7 @@ def _events(command: Command, aim: Aim) -> Iterator[Event]:
         elif has_element:
             yield from _press("End")
         for character in command.text:
-            yield from _press("Enter" if character == "\n" else character)
+            yield from _press(TYPED_KEYS.get(character, character))
 
 
 def _mouse(kind: str, x: float, y: float, **params: Any) -> Event:

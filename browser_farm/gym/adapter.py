@@ -78,12 +78,13 @@ class MiniWoBAdapter:
         action_space_config: str | ActionSpaceConfig = "all_supported",
         field_extractor: Callable[[str], Fields] | None = None,
         reward_processor: Callable[[Mapping[str, Any]], float] | None = None,
+        base_url: str = "",
     ) -> MiniWoBAdapter:
         """An adapter with the package's defaults; ValueError for an unknown task, preset or key."""
         config = action_space_config
         if isinstance(config, str):
             config = ActionSpaceConfig.get_preset(config)
-        page_url(task)  # raises for an unknown task, before a browser starts
+        page_url(task, base_url)  # raises for an unknown task, before a browser starts
         adapter = cls(
             task=task,
             action_space_config=config,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import operator
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -45,6 +47,8 @@ class EnvSlot:
         self.seed = 0
         self.page: Elements | None = None  # None before the first episode and after the end of one
         self.fields: Fields = ()
+        self.episodes = 0  # begun so far
+        self.begun_s = 0.0  # time.monotonic() at the beginning of the episode
 
     def sample_episode(self, rng: np.random.Generator, options: ResetOptions, seed: int | None = None) -> EpisodeSpec:
         """The episode with this page seed, or with one that `rng` samples."""
@@ -52,6 +56,7 @@ class EnvSlot:
         return EpisodeSpec(task=self.adapter.task, seed=page_seed, mode=options.data_mode)
 
     def begin(self, observation: Observation) -> None:
+        self.episodes, self.begun_s = self.episodes + 1, time.monotonic()
         self.seed, self.page = observation.episode.seed, elements_of(observation)
         self.fields = self.adapter.fields(self.page)
 
@@ -69,24 +74,31 @@ class EnvSlot:
             return self.adapter.empty_observation()
         return self.adapter.observe(self.page, self.fields, screenshot)
 
-    def info(self, result: StepResult = RESET_RESULT, *, with_dom: bool) -> dict[str, Any]:
-        """The package's `info`, without "elapsed". `with_dom` adds the page as a tree of DOMElement."""
+    def info(self, result: StepResult = RESET_RESULT, *, with_dom: bool, elapsed: bool = False) -> dict[str, Any]:
+        """The package's `info`. `with_dom` adds the page as a tree of DOMElement, `elapsed` the episode's duration."""
         info = {
             "done": result.done,
-            "env_reward": result.raw_reward,  # equal, since our rewards do not shrink with time
+            "env_reward": result.raw_reward if result.scaled_reward is None else result.scaled_reward,
             "raw_reward": result.raw_reward,
             "reason": result.reason or None,
             "seed": self.seed,
         }
+        if elapsed:
+            info["elapsed"] = time.monotonic() - self.begun_s
         if result.lost:
             info["lost"] = result.lost
         if with_dom and self.page is not None:
             info["root_dom"] = root_dom(self.page)
         return info
 
+    def reward(self, info: Mapping[str, Any]) -> float:
+        """The processed reward of a step. An episode that is lost is void: it has none."""
+        return 0.0 if "lost" in info else float(self.adapter.reward_processor(info))
 
-def checked_render_mode(render_mode: str | None, modes: list[str]) -> str | None:
-    """The render mode itself; ValueError when it is not one of `modes`."""
-    if render_mode not in (None, *modes):
-        raise ValueError(f"render_mode is {render_mode!r}, wanted {' or '.join(modes)}, or None")
-    return render_mode
+
+def checked_seed(seed: Any) -> int:
+    """An integer of any kind as int; TypeError for anything else."""
+    try:
+        return operator.index(seed)
+    except TypeError:
+        raise TypeError(f"the seed is {seed!r}: wanted an integer") from None

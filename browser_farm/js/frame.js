@@ -4,9 +4,11 @@ const frame = (() => {
 
   const STEP_MS = 100;  // virtual time that an action takes
 
-  const noTransitions = new CSSStyleSheet();  // CSS transitions run in real time, not in the clock's
-  noTransitions.replaceSync('*, *::before, *::after { transition: none !important; animation: none !important; }');
-  document.adoptedStyleSheets = [noTransitions];
+  if (!REAL_TIME) {
+    const noTransitions = new CSSStyleSheet();  // CSS transitions run in real time, not in the clock's
+    noTransitions.replaceSync('*, *::before, *::after { transition: none !important; animation: none !important; }');
+    document.adoptedStyleSheets = [noTransitions];
+  }
 
   window.open = () => null;
   window.console.log = () => {};  // the debugger would store each message with a stack trace
@@ -38,11 +40,11 @@ const frame = (() => {
     const mark = aimMark === null ? clock.mark() : aimMark;
     aimMark = null;
     gestures.act(decode(action));
-    clock.pass(STEP_MS, mark);
+    clock.pass(STEP_MS + WAIT_MS, mark);
   }
 
   function disableAnimations() {
-    if (window.jQuery && window.jQuery.fx) window.jQuery.fx.off = true;
+    if (!REAL_TIME && window.jQuery && window.jQuery.fx) window.jQuery.fx.off = true;
   }
 
   function reset() {

@@ -6,8 +6,9 @@ const hub = (() => {
   const tabs = new Map();  // number -> window
   let call = 0, answers = [], current = null, slowest = [0, null];  // slowest: [ms, tab]
 
-  function open(numbers) {
-    for (const number of numbers) tabs.set(number, window.open('about:blank', String(number)));
+  // `features` as for window.open: "popup" gives each tab a window of its own.
+  function open(numbers, features) {
+    for (const number of numbers) tabs.set(number, window.open('about:blank', String(number), features));
   }
 
   function answerOf(tab, request) {

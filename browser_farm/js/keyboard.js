@@ -87,7 +87,10 @@ const keyboard = (() => {
     if (element && !field.isConnected) return;
     if (isInput(field) && FORMATTED.has(field.type)) {
       if (field.readOnly || field.disabled) return;
-      setValue(field, toFieldValue(field, text), 'insertText', text);
+      const isKey = (character) => character in TYPED_KEYS, characters = [...text];
+      const value = characters.filter((character) => !isKey(character)).join('');
+      if (value || !text) setValue(field, toFieldValue(field, value), 'insertText', value);
+      for (const character of characters.filter(isKey)) press(null, TYPED_KEYS[character]);
     } else if (!element || takesText(field) || field.isContentEditable) {
       if (takesText(field) && (clear || element)) {
         unfinished = null;
@@ -96,7 +99,7 @@ const keyboard = (() => {
       }
       for (const character of text) {
         typeCharacter(field, character);
-        if (!element) field = document.activeElement || document.body;
+        if (!element || character in TYPED_KEYS) field = document.activeElement || document.body;
       }
     } else {
       return;
@@ -105,12 +108,12 @@ const keyboard = (() => {
   }
 
   function typeCharacter(field, character) {
-    const key = character === '\n' ? 'Enter' : character;
-    if (dispatchKey(field, 'keydown', key) && dispatchKey(field, 'keypress', key)) {
-      if (key === 'Enter') pressEnter(field);
-      else insert(field, character);
+    if (character in TYPED_KEYS) {
+      press(null, TYPED_KEYS[character]);
+      return;
     }
-    dispatchKey(field, 'keyup', key);
+    if (dispatchKey(field, 'keydown', character) && dispatchKey(field, 'keypress', character)) insert(field, character);
+    dispatchKey(field, 'keyup', character);
   }
 
   // ---- keys

@@ -38,7 +38,10 @@ def goal_swap(
             index += browser.tabs
             if index > MAX_UNUSABLE_PAGES and not used:
                 raise ValueError(f"{task} has no page of {index} with two buttons and one named in its goal")
-            for observation in browser.reset(batch).values():
+            opened = browser.reset(batch)
+            if not opened:
+                raise RuntimeError(f"no page can be opened: {', '.join(browser.unopened.values())}")
+            for observation in opened.values():
                 swap = swap_goal(observation, "button")
                 if swap is None or used == pages:
                     continue

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import click
+from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
@@ -27,13 +28,13 @@ def status(run: str | None, as_json: bool) -> None:
 
     run = run or newest_run()
     state = read_status(run)
-    display = Display()
+    console = Console()
     if as_json:
         click.echo(state.to_json())
-    elif not display.results.is_terminal:
+    elif not console.is_terminal:
         click.echo("\n".join(lines(state)))
     else:
-        with Live(Text("\n".join(lines(state))), console=display.results, auto_refresh=False) as live:
+        with Live(Text("\n".join(lines(state))), console=console, auto_refresh=False) as live:
             while state.phase not in OTHERS_PHASES:
                 time.sleep(REFRESH_S)
                 state = read_status(run)

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from giirl.run.folder import RunFolder
-from giirl_core.files import is_locked, open_files, user_folder
+from giirl_core.files import is_locked
+from giirl_core.temporary import open_files, user_folder
 
 UNCHANGED_S = 60.0  # in a container, the processes that have a file open may be invisible
 

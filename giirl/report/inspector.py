@@ -68,7 +68,10 @@ class Inspector:
         return EpisodeView(task=spec.task, seed=spec.seed, frames=(frame,))
 
     def _open(self, spec: EpisodeSpec) -> Observation:
-        return self._browser.reset({TAB: spec})[TAB]
+        opened = self._browser.reset({TAB: spec})
+        for reason in self._browser.unopened.values():
+            raise RuntimeError(reason)
+        return opened[TAB]
 
     def _play(self, spec: EpisodeSpec, others: Sequence[Goal]) -> EpisodeView:
         observation: Observation | None = self._open(spec)
@@ -84,7 +87,7 @@ class Inspector:
             if action is not None:
                 result = self._browser.step({TAB: Command.of(action, observation, last=last)})[TAB]
                 error, observation = result.lost, result.observation
-                if result.done or last:
+                if not error and (result.done or last):
                     outcome = Outcome(raw_reward=result.raw_reward, ended=result.done)
             if error or outcome is not None:
                 return EpisodeView(task=spec.task, seed=spec.seed, frames=tuple(frames), outcome=outcome, error=error)

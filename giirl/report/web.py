@@ -12,12 +12,11 @@ from giirl.report.inspector import Inspector
 from giirl.report.numbers import Group, Points, Result, TableView, count, no_reward, weights_of
 from giirl.run.evaluate import THESIS
 from giirl.run.folder import RunFolder
-from giirl.statistics import WINDOW
+from giirl.statistics import WINDOW, missing_pages, percent
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.metrics import Metrics
 from giirl_core.progress import Display
-from learner.checkpoint import latest_checkpoint
 
 
 class WebReport:
@@ -40,8 +39,8 @@ class WebReport:
         rows = tuple(
             (
                 task,
-                f"{100 * own['random']:.1f}",
-                f"{100 * own['success']:.1f}",
+                percent(own["random"]),
+                percent(own["success"]),
                 f"{100 * own['low']:.1f}-{100 * own['high']:.1f}",
                 str(own["episodes"]),
                 f"{100 * THESIS[task]:.0f}" if task in THESIS else "-",
@@ -50,14 +49,16 @@ class WebReport:
         )
         tables = [_by_goal(result)] if any("held_out_goals" in own for own in result["tasks"].values()) else []
         head = ("task", "random baseline", "success rate", "95 % interval", "pages", "Luo (2019)")
-        return [TableView(caption="Success rate of the greedy policy on fresh pages, %", head=head, rows=rows), *tables]
+        caption = f"Success rate of the greedy policy on fresh pages, %. {missing_pages(result['tasks'])}".rstrip(". ")
+        return [TableView(caption=caption, head=head, rows=rows), *tables]
 
     def success_group(
         self, config: Config, points: Points, result: Result | None, demonstrations: Mapping[str, int]
     ) -> Group:
         """The true success rate during training by task."""
         steps = [point["env_steps"] for point in points]
-        random = {task: own["random"] for task, own in result["tasks"].items()} if result is not None else {}
+        rows = result["tasks"] if result is not None else {}
+        random = {task: own["random"] for task, own in rows.items() if own["random"] is not None}
         charts = [
             draw_chart(
                 task,
@@ -79,7 +80,7 @@ class WebReport:
     ) -> tuple[dict[str, list[EpisodeView]], str]:
         """Episodes by task, with a description, or with the reason why there are none."""
         try:
-            checkpoint = latest_checkpoint(folder.checkpoints)
+            checkpoint = folder.latest_checkpoint()
         except ValueError as error:
             return {}, f"No episodes: {error}."
         strips: dict[str, list[EpisodeView]] = {task: [] for task in config.tasks}

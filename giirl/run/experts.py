@@ -15,9 +15,9 @@ from rich.table import Table
 from actors.agents import ExpertAgent
 from actors.browser import open_browser
 from actors.rollouts import play_pages
-from browser_farm.experts import expert
+from browser_farm.mixed import expert_of
 from giirl.run.demo_stats import verbs
-from giirl.statistics import Score
+from giirl.statistics import Score, missing_pages, percent
 from giirl_core.config import Config
 from giirl_core.metrics import Metrics
 from giirl_core.progress import Display
@@ -31,9 +31,9 @@ def measure(
 ) -> Iterator[dict[str, Any]]:
     """Play `episodes` pages of each task of the config that `rows` lacks; yields the whole result after each task."""
     for task in config.tasks:
-        expert(task)
+        expert_of(task)
     tasks = [task for task in config.tasks if task not in rows]
-    agent = ExpertAgent(expert)
+    agent = ExpertAgent(expert_of)
     with (
         closing(open_browser(config, metrics)) as browser,
         display.job("experts play", episodes * len(tasks)) as job,
@@ -41,7 +41,7 @@ def measure(
         for task in tasks:  # one task at a time, so that every tab has work until the end
             since_s, purpose = time.monotonic(), Purpose.DEMONSTRATE
             played = play_pages(config, browser, agent, purpose, episodes, metrics, tasks=[task], job=job, note=task)
-            rows[task] = {**_row(played), "seconds": round(time.monotonic() - since_s, 1)}
+            rows[task] = {**_row(played, episodes), "seconds": round(time.monotonic() - since_s, 1)}
             yield {"episodes": episodes, "seed": config.seed, "tasks": dict(sorted(rows.items()))}
 
 
@@ -59,15 +59,17 @@ def read_rows(file: Path, episodes: int, seed: int) -> dict[str, Any]:
     return rows
 
 
-def _row(played: Sequence[Episode]) -> dict[str, Any]:
+def _row(played: Sequence[Episode], wanted: int) -> dict[str, Any]:
+    """The numbers of a task. Pages that no browser could play are missing, not failures."""
     won = [episode for episode in played if episode.outcome.success]
     score = Score(episodes=len(played), successes=len(won))
     steps = [len(episode.trajectory) for episode in played]
     return {
         **score.row(),
+        "missing": wanted - score.episodes,
         "successes": score.successes,
-        "median_steps": float(np.median(steps)),
-        "most_steps": max(steps),
+        "median_steps": float(np.median(steps)) if steps else 0.0,
+        "most_steps": max(steps, default=0),
         "verbs": verbs(played),
         "learnable": all(action.learnable for episode in won for action in episode.trajectory.actions),
     }
@@ -75,9 +77,12 @@ def _row(played: Sequence[Episode]) -> dict[str, Any]:
 
 def experts_table(result: dict[str, Any]) -> Table:
     """For each task: success with its interval, steps, verbs, and whether the nets could learn it."""
-    at_99 = sum(row["success"] >= GOOD for row in result["tasks"].values())
+    at_99 = sum((row["success"] or 0.0) >= GOOD for row in result["tasks"].values())
     title = f"scripted experts, {result['episodes']} pages per task, seed {result['seed']}"
-    table = Table(title=f"{title}: {at_99} of {len(result['tasks'])} at 99 % or more")
+    table = Table(
+        title=f"{title}: {at_99} of {len(result['tasks'])} at 99 % or more",
+        caption=missing_pages(result["tasks"]) or None,
+    )
     table.add_column("task", no_wrap=True)
     for name in ("success", "95 %", "median steps", "most"):
         table.add_column(name, justify="right")
@@ -86,7 +91,7 @@ def experts_table(result: dict[str, Any]) -> Table:
     for task, row in result["tasks"].items():
         table.add_row(
             task,
-            f"{100 * row['success']:.1f}",
+            percent(row["success"]),
             f"{100 * row['low']:.1f} - {100 * row['high']:.1f}",
             f"{row['median_steps']:.0f}",
             str(row["most_steps"]),

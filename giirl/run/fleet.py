@@ -58,7 +58,7 @@ class Fleet:
         self._surplus: list[tuple[SupervisedProcess, float]] = []  # actors that leave, with their deadlines
         self._places = places(config)
         # On a cluster each actor counts its episodes in a temporary folder on its node.
-        self._counts = (folder.path / "actors").absolute() if platform.single_node else None
+        self._counts = folder.actors.absolute() if platform.single_node else None
         self._clients: dict[str, str] = {}  # public key of each actor, by name
         self._scorers: list[str] = []
         self._polled_s = self._pinged_s = float("-inf")

@@ -21,9 +21,9 @@ def record(run: Planned, *, evaluates_reward: bool = False) -> dict[str, Any]:
     """The result and the learning curve of a finished run; with `evaluates_reward` also the measures of its reward."""
     folder = RunFolder(run.folder)
     points = folder.points()
-    result: dict[str, Any] = json.loads(folder.result.read_text())
+    result: dict[str, Any] = json.loads(folder.result.read_bytes())
     if run.variant.transfer_tasks:
-        result["tasks"] |= json.loads((folder.path / TRANSFER).read_text())
+        result["tasks"] |= json.loads((folder.path / TRANSFER).read_bytes())
     measures = folder.path / REWARD_EVAL
     return {
         "variant": run.variant.name,
@@ -31,7 +31,7 @@ def record(run: Planned, *, evaluates_reward: bool = False) -> dict[str, Any]:
         "settings": [one for one in changed(run.config) if not one.startswith("reward_from=")],
         **({"reward_of": run.variant.reward_of} if run.variant.reward_of else {}),
         **result,
-        **(json.loads(measures.read_text()) if evaluates_reward and measures.exists() else {}),
+        **(json.loads(measures.read_bytes()) if evaluates_reward and measures.exists() else {}),
         "episodes_to": {f"{level:g}": _first_reached(points, level, "episodes") for level in LEVELS},
         "env_steps_to": {f"{level:g}": _first_reached(points, level, "env_steps") for level in LEVELS},
         "curve": _thinned(points),
@@ -70,10 +70,11 @@ def pooled(records: Sequence[dict[str, Any]], group: str = "") -> dict[str, dict
         random = sum((_score(r["random_episodes"], r["random"]) for r in rows), Score(episodes=0, successes=0))
         tasks[task] = {
             **score.row(digits=5),
-            "success": round(score.success, 5),
-            "random": round(random.success, 5),
+            "missing": sum(row.get("missing", 0) for row in rows),
+            "success": None if score.success is None else round(score.success, 5),
+            "random": None if random.success is None else round(random.success, 5),
             "random_episodes": random.episodes,
-            "worst_seed": min(part["success"] for part in parts),
+            "worst_seed": min((part["success"] for part in parts if part["success"] is not None), default=None),
         }
     return tasks
 
@@ -152,5 +153,5 @@ def _thinned(points: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def _score(episodes: int, success: float) -> Score:
-    return Score(episodes=episodes, successes=round(episodes * success))
+def _score(episodes: int, success: float | None) -> Score:
+    return Score(episodes=episodes, successes=round(episodes * (success or 0.0)))

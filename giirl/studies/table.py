@@ -40,6 +40,8 @@ def _add_variant(table: Table, tasks: list[str], name: str, found: dict[str, Any
 
 
 def _success(row: dict[str, Any]) -> str:
+    if row["success"] is None:
+        return "-"
     worst = f", worst {100 * row['worst_seed']:.1f}" if row["worst_seed"] < row["success"] else ""
     return f"{100 * row['success']:.1f} ({100 * row['low']:.1f} - {100 * row['high']:.1f}{worst})"
 

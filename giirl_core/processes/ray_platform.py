@@ -6,6 +6,7 @@ In a cluster the processes outlive the learner for a while (detached actors); a 
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import os
 import secrets
@@ -23,8 +24,11 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 from tenacity import retry, retry_if_exception, stop_after_attempt
 
 from giirl_core.config import Config
+from giirl_core.config_file import dump_config
+from giirl_core.files import short_temporary_folder
 from giirl_core.processes.code_version import code_version
 from giirl_core.processes.supervision import Place, ProcessDied
+from giirl_core.processes.waiting import describe_free
 
 NAMESPACE = "giirl"
 RESULT_GRACE_S = 10.0  # added to every timeout, for Ray to fetch the result
@@ -103,23 +107,27 @@ class _PendingActors:
 class RayPlatform:
     """Ray: started on this machine for this run alone (runtime `local`), or joined (runtime `ray`).
 
-    On a cluster, processes are found by name: `run/process/code/number`. Those of this run that have another code
-    version are killed. Raises RuntimeError when Ray does not start.
+    On a cluster, processes are found by name: `run/process/version/number`. Those of this run that have another code or
+    other settings are killed. Raises RuntimeError when Ray does not start.
     """
 
     def __init__(self, config: Config, run: str) -> None:
         self.single_node, self._run = config.runtime == "local", run
         sigterm_handler = signal.getsignal(signal.SIGTERM)
+        sighup_handler = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # Ray's processes inherit that: they end with us
         try:
             _init(config)
         except Exception as error:
             if type(error) is not Exception:  # Ray raises a plain Exception when its node does not start in time
                 raise
             raise RuntimeError(f"Ray did not start, tried {START_ATTEMPTS} times: {error}") from error
-        signal.signal(signal.SIGTERM, sigterm_handler)  # Ray installs its own, which would end a run unsaved
+        finally:
+            signal.signal(signal.SIGTERM, sigterm_handler)  # Ray installs its own, which would end a run unsaved
+            signal.signal(signal.SIGHUP, sighup_handler)
         self.host = "127.0.0.1" if self.single_node else _node_ip()
         self._pending = _PendingActors()
-        self._code = code_version()
+        # Processes with other code or other settings are not taken over.
+        self._version = f"{code_version()}-{hashlib.sha256(dump_config(config).encode()).hexdigest()[:8]}"
         self._handles: dict[str, Any] = {}  # the newest of each name
         self._left = {} if self.single_node else self._find_left()
 
@@ -147,7 +155,7 @@ class RayPlatform:
                 "scheduling_strategy": self._node_apart(name) if place.apart else "SPREAD",
             }
             if detached:
-                full_name = f"{self._run}/{name}/{self._code}/{secrets.token_hex(4)}"
+                full_name = f"{self._run}/{name}/{self._version}/{secrets.token_hex(4)}"
                 options |= {"name": full_name, "namespace": NAMESPACE, "lifetime": "detached"}
         handle: Any = ray.remote(actor_class).options(**options).remote(*values)
         self._handles[name] = handle
@@ -159,7 +167,7 @@ class RayPlatform:
     def resources(self) -> str:
         free, there = ray.available_resources(), ray.cluster_resources()  # type: ignore[no-untyped-call]
         nodes = sum(node["Alive"] for node in ray.nodes())  # type: ignore[no-untyped-call]
-        return f"{_free_of(free, there)} on {nodes} node{'s' if nodes != 1 else ''}"
+        return f"{describe_free(free, there)} on {nodes} node{'s' if nodes != 1 else ''}"
 
     def end_left(self) -> None:
         """Kill the processes of an earlier session that this one has not taken over."""
@@ -190,23 +198,12 @@ class RayPlatform:
             if run != self._run:
                 continue
             handle: Any = ray.get_actor(full_name, NAMESPACE)
-            name, code, _ = rest.split("/")
-            if code == self._code and name not in found:
+            name, version, _ = rest.split("/")
+            if version == self._version and name not in found:
                 found[name] = handle
             else:
                 ray.kill(handle)
         return found
-
-
-def _free_of(free: Mapping[str, float], there: Mapping[str, float]) -> str:
-    """What is free of the resources that a process can ask for."""
-    parts = []
-    for name, total in sorted({"CPU": 0.0, **there}.items()):
-        if name == "memory":
-            parts.append(f"{free.get(name, 0) / 1e6:.0f} of {total / 1e6:.0f} MB of memory")
-        elif ":" not in name and name != "object_store_memory":
-            parts.append(f"{free.get(name, 0):g} of {total:g} {name}")
-    return ", ".join(parts)
 
 
 def kill_left(runs: Collection[str], *, dry_run: bool) -> list[str]:
@@ -266,6 +263,7 @@ def _init(config: Config) -> None:
         num_cpus=max(config.actors.count, os.cpu_count() or 1),
         include_dashboard=False,
         object_store_memory=256 << 20,
+        _temp_dir=f"{short_temporary_folder(os.environ.get('RAY_TMPDIR'))}/ray",  # Ray has sockets in it
         **QUIET,
     )
 

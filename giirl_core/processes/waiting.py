@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from giirl_core.processes.supervision import SupervisedProcess
 
@@ -44,3 +44,14 @@ class WaitingNotice:
             "add a node, or end what uses them: giirl clean",
             first.name, more, len(members), now_s - self._since_s, first.name, self._needs(first.kind), self._free(),
         )  # fmt: skip
+
+
+def describe_free(free: Mapping[str, float], there: Mapping[str, float]) -> str:
+    """What is free of the resources that a process can ask for."""
+    parts = []
+    for name, total in sorted({"CPU": 0.0, **there}.items()):
+        if name == "memory":
+            parts.append(f"{free.get(name, 0) / 1e6:.0f} of {total / 1e6:.0f} MB of memory")
+        elif ":" not in name and name != "object_store_memory":
+            parts.append(f"{free.get(name, 0):g} of {total:g} {name}")
+    return ", ".join(parts)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
+from giirl_core.files import atomic_write
 from giirl_core.wire.transport import Keys
 
 
@@ -15,7 +15,7 @@ def load_or_create_keys(path: Path) -> Keys:
     """
     if not path.exists():
         generated = Keys.generate()
-        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+        with atomic_write(path, mode=0o600) as file:
             file.write(generated.public + b"\n" + generated.secret + b"\n")
     lines = path.read_bytes().split()
     if len(lines) != 2:

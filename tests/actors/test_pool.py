@@ -6,6 +6,7 @@ import threading
 from collections import Counter
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -52,11 +53,12 @@ def test_the_share_of_a_process_that_died_is_played_again(pool: PagePool, monkey
     calls: Counter[int] = Counter()
     play = BrowserPlayer.play
 
-    def failing(self: BrowserPlayer, spec: AgentSpec, purpose: Purpose, pages: int, *, first: int = 0) -> list[Episode]:
+    def failing(self: BrowserPlayer, spec: AgentSpec, purpose: Purpose, pages: int, **how: Any) -> list[Episode]:
+        first = how["first"]
         calls[first] += 1
         if first == 4 and calls[first] < MAX_TRIES:
             raise RuntimeError("the browser is gone")
-        return play(self, spec, purpose, pages, first=first)
+        return play(self, spec, purpose, pages, **how)
 
     monkeypatch.setattr(BrowserPlayer, "play", failing)
     with closing(pool):

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from prometheus_client import generate_latest
 
 from actors.agents import Agent, Decision, ExpertAgent, PolicyAgent, RandomAgent
-from actors.rollouts import Schedule, always_open, play
+from actors.rollouts import always_open, play
+from actors.schedule import Schedule
 from browser_farm.experts import expert
 from browser_farm.fake import TASKS, FakeFarm, check_task
 from giirl_core.metrics import Metrics
@@ -29,6 +30,7 @@ from giirl_core.types import (
     Verb,
     page_seed,
 )
+from tests.actors.faulty_farm import FaultyFarm
 from tests.learner.samples import policy, vectors
 
 ALL = tuple(TASKS)
@@ -254,3 +256,40 @@ def test_a_closed_gate_yields_empty_rounds_until_it_opens() -> None:
     assert [next(rounds) for _ in range(3)] == [[], [], []]
     opened[0] = True
     assert sum(len(some) for some in rounds) == 2
+
+
+@pytest.mark.parametrize("tabs", [1, 2, 3])
+def test_an_episode_whose_page_does_not_open_is_played_again(tabs: int) -> None:
+    left = [page_seed(Purpose.TRAIN, 3, i) for i in (0, 3, 0)]
+
+    def closed(spec: EpisodeSpec) -> bool:
+        if spec.seed in left:
+            left.remove(spec.seed)
+            return True
+        return False
+
+    agent = ExpertAgent(expert)
+    played = episodes(FaultyFarm(tabs=tabs, closed=closed), agent, 6, tasks=("click-test",))
+    assert left == []
+    wanted = episodes(FakeFarm(tabs=tabs), agent, 6, tasks=("click-test",))
+    assert [content(episode) for episode in played] == [content(episode) for episode in wanted]
+
+
+@pytest.mark.parametrize("tabs", [1, 2, 3])
+def test_a_page_that_never_opens_is_left_out_and_the_others_are_played(tabs: int) -> None:
+    seeds = [page_seed(Purpose.TRAIN, 3, i) for i in range(6)]
+    browser = FaultyFarm(tabs=tabs, closed=lambda spec: spec.seed in (seeds[1], seeds[4]))
+    played = episodes(browser, ExpertAgent(expert), 6, tasks=("click-test",))
+    assert [e.trajectory.seed for e in played] == [seeds[i] for i in (0, 2, 3, 5)]
+
+
+@pytest.mark.parametrize("tabs", [1, 3])
+def test_a_task_whose_pages_never_open_is_given_up_and_ends_a_training(tabs: int) -> None:
+    def play_all(purpose: Purpose) -> list[Episode]:
+        browser = FaultyFarm(tabs=tabs, closed=lambda spec: spec.task == "click-test")
+        schedule = Schedule(("click-test", "click-test-2"), tabs, purpose=purpose, run_seed=0, quota=90)
+        return [e for some in play(browser, RandomAgent(), schedule, step_limit=5, metrics=Metrics()) for e in some]
+
+    assert Counter(episode.trajectory.task for episode in play_all(Purpose.EVALUATE)) == {"click-test-2": 90}
+    with pytest.raises(RuntimeError, match=r"10 pages of click-test in a row did not open.*click-test does not open"):
+        play_all(Purpose.TRAIN)

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from actors.agents import ExpertAgent
-from actors.rollouts import Schedule, play
+from actors.rollouts import play
+from actors.schedule import Schedule
 from browser_farm.experts import EXPERTS, NoAction, expert
 from browser_farm.experts.games import play_for_the_win
 from browser_farm.experts.page_view import PageView, expert_for

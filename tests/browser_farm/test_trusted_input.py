@@ -61,3 +61,14 @@ def test_a_chord_holds_its_modifiers_down_around_its_key() -> None:
     ]
     assert pressed[1][1]["commands"] == ["copy"]
     assert events(Command(verb=Verb.WAIT), aim) == []
+
+
+def test_typed_characters_of_webdriver_press_their_keys() -> None:
+    typed = events(Command(verb=Verb.APPEND, text="a\ue012\ue008\ue01f\n"), [0.0, 0.0, 0.0, 0.0])
+    assert [params["key"] for _, params in typed if params["type"] != "keyUp"] == [
+        "a",
+        "ArrowLeft",
+        "Shift",
+        "5",
+        "Enter",
+    ]

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from giirl_core.files import OLD_S, user_folder, write_json
+from giirl_core.files import short_temporary_folder, write_json
+from giirl_core.temporary import OLD_S, user_folder
 
 
 def test_json_is_written_with_a_final_newline(tmp_path: Path) -> None:
@@ -50,3 +51,12 @@ def test_what_nothing_has_changed_for_a_week_is_deleted_from_the_temporary_folde
         os.utime(folder / run / "actor-0.count", (file_s, file_s))
         os.utime(folder / run, (old_s, old_s))
     assert [path.name for path in user_folder().iterdir()] == ["under-way"]
+
+
+def test_sockets_lie_in_the_folder_for_temporary_files_unless_its_path_is_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", "/var/tmp")
+    assert short_temporary_folder() == "/var/tmp"
+    assert short_temporary_folder("/scratch") == "/scratch"
+    assert short_temporary_folder("/scratch/" + "x" * 72) == "/tmp"
+    monkeypatch.setattr("tempfile.tempdir", "/scratch/" + "x" * 72)
+    assert short_temporary_folder() == "/tmp"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import socket
 from collections.abc import Iterator
 from types import SimpleNamespace
@@ -10,10 +11,15 @@ from typing import Any
 import pytest
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
+from giirl_core.config import Config
+from giirl_core.config_file import dump_config
 from giirl_core.processes import ray_platform
 from giirl_core.processes.code_version import code_version
 from giirl_core.processes.ray_platform import RayPlatform, RayProcess, kill_left
 from giirl_core.processes.supervision import Place
+
+CONFIG = Config(runtime="ray")
+VERSION = f"{code_version()}-{hashlib.sha256(dump_config(CONFIG).encode()).hexdigest()[:8]}"
 
 
 class Worker:
@@ -109,7 +115,7 @@ def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeRay]:
 
 
 def platform(run: str = "mine-1") -> RayPlatform:
-    return RayPlatform(SimpleNamespace(runtime="ray"), run)  # type: ignore[arg-type]
+    return RayPlatform(CONFIG, run)
 
 
 def test_an_actor_asks_for_cpus_memory_and_chrome_and_is_spread(cluster: FakeRay) -> None:
@@ -118,7 +124,7 @@ def test_an_actor_asks_for_cpus_memory_and_chrome_and_is_spread(cluster: FakeRay
     (options,) = cluster.options
     assert (options["num_cpus"], options["memory"], options["resources"]) == (1.0, 10**9, {"chrome": 1.0})
     assert (options["scheduling_strategy"], options["lifetime"], options["max_restarts"]) == ("SPREAD", "detached", 0)
-    assert options["name"].startswith(f"mine-1/actor-0/{code_version()}/")
+    assert options["name"].startswith(f"mine-1/actor-0/{VERSION}/")
     assert not process.reattached
 
 
@@ -149,12 +155,12 @@ def test_a_process_has_a_place_when_ray_has_started_it(cluster: FakeRay, monkeyp
     assert answers == [False, False, False, True]
 
 
-def test_a_resumed_learner_takes_over_its_processes_but_none_of_another_code_version(cluster: FakeRay) -> None:
-    code = code_version()
-    for name in (f"mine-1/actor-0/{code}/a", "mine-1/actor-1/0ld0ld00/b", f"other/actor-0/{code}/c"):
+def test_a_resumed_learner_takes_over_its_processes_but_none_with_other_code_or_settings(cluster: FakeRay) -> None:
+    code = VERSION
+    for name in (f"mine-1/actor-0/{code}/a", f"mine-1/actor-1/{code[:9]}0ther000/b", f"other/actor-0/{code}/c"):
         cluster.add(name)
     ours = platform()
-    assert cluster.killed == ["mine-1/actor-1/0ld0ld00/b"]
+    assert cluster.killed == [f"mine-1/actor-1/{code[:9]}0ther000/b"]
     taken, new = (ours.start(Worker, f"actor-{index}", place=Place()) for index in range(2))
     assert isinstance(taken, RayProcess)
     assert (taken.reattached, new.reattached) == (True, False)
@@ -162,9 +168,9 @@ def test_a_resumed_learner_takes_over_its_processes_but_none_of_another_code_ver
 
 
 def test_processes_that_a_smaller_session_does_not_use_are_killed_at_its_end(cluster: FakeRay) -> None:
-    cluster.add(f"mine-1/actor-7/{code_version()}/a")
+    cluster.add(f"mine-1/actor-7/{VERSION}/a")
     platform().close()
-    assert cluster.killed == [f"mine-1/actor-7/{code_version()}/a"]
+    assert cluster.killed == [f"mine-1/actor-7/{VERSION}/a"]
 
 
 def test_what_is_free_is_said_with_what_there_is(cluster: FakeRay) -> None:

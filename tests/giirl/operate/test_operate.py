@@ -14,8 +14,9 @@ from giirl.operate.clean import clean_up
 from giirl.operate.status import lines, read_status
 from giirl.operate.stop import stop_requests, stop_run
 from giirl.run.folder import RunFolder
-from giirl_core.files import folder_lock, user_folder, write_json
+from giirl_core.files import folder_lock, write_json
 from giirl_core.metrics import Metrics, write_targets
+from giirl_core.temporary import user_folder
 from tests.giirl.small import config, run
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import giirl.run.train as giirl_run
-from giirl.operate.retry import claimed, is_finished, resume_or_start
+from giirl.operate.retry import is_finished, resumed_or_started
 from giirl.run.api import train
 from giirl.run.folder import RunFolder
 from giirl_core.config import Config
@@ -25,8 +25,7 @@ FEW = ("iterations=6", "checkpoint_every=2", "evaluate.episodes=1", "evaluate.ra
 
 def attempt(settings: Config) -> Path | None:
     """One try of the command in this process; returns the checkpoint that it went on from."""
-    with claimed(settings) as folder:
-        checkpoint = resume_or_start(folder, settings)
+    with resumed_or_started(settings) as (folder, checkpoint):
         if not is_finished(folder, settings, checkpoint):
             train(settings, folder, checkpoint, Display())
         return checkpoint
@@ -89,7 +88,7 @@ def test_more_iterations_are_trained_and_any_other_change_is_refused(tmp_path: P
 
 def test_files_of_something_else_are_never_deleted(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("mine")
-    with pytest.raises(ValueError, match=r"holds thesis\.txt, which is of no run: choose another run=FOLDER"):
+    with pytest.raises(ValueError, match="is not empty: choose another run=FOLDER"):
         attempt(config(tmp_path))
     assert (tmp_path / "thesis.txt").read_text() == "mine"
 
@@ -104,8 +103,8 @@ def test_a_try_waits_for_the_one_before_and_then_says_who_uses_the_folder(
 ) -> None:
     monkeypatch.setattr("giirl.operate.retry.LOCK_TIMEOUT_S", 0.3)
     settings = config(tmp_path, *FEW)
-    with folder_lock(tmp_path), pytest.raises(ValueError, match="another process uses"), claimed(settings):
-        pass
+    with folder_lock(tmp_path), pytest.raises(ValueError, match="another process uses"):
+        attempt(settings)
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
@@ -115,8 +114,8 @@ def test_the_identity_of_a_try_without_a_checkpoint_stays(tmp_path: Path) -> Non
     shutil.rmtree(tmp_path / "run/checkpoints")
     folder = RunFolder(tmp_path / "run")
     identity = folder.identity
-    with claimed(settings) as again:
-        assert resume_or_start(again, settings) is None
+    with resumed_or_started(settings) as (again, checkpoint):
+        assert checkpoint is None
+        again.clear()
         assert again.identity == identity
-        assert {path.name for path in again.path.iterdir()} == {"config.json", "identity"}
     assert not (folder.checkpoints / LATEST).exists()

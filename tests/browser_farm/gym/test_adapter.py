@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 from miniwob.action import ActionSpaceConfig, ActionTypes
+from miniwob.constants import ALL_POSSIBLE_KEYS, WEBDRIVER_SPECIAL_KEYS
 from miniwob.observation import create_observation
 
 from benchmarks.gym_equality import differences
 from browser_farm.gym.adapter import MiniWoBAdapter, chord_of, root_dom
 from browser_farm.gym.elements import Elements, decode_elements, rgba
 from browser_farm.gym.slot import ResetOptions
+from giirl_core.keys import TYPED_KEYS
 from giirl_core.types import Command, Verb
 
 FIELDS = [("target", "Ada"), ("place", "top")]
@@ -106,6 +108,14 @@ def test_keys_of_the_package_become_chords(name: str, wanted: str) -> None:
     assert chord_of(name) == wanted
 
 
+def test_every_key_of_the_package_is_supported_and_typed_as_in_webdriver() -> None:
+    for name in ALL_POSSIBLE_KEYS:
+        chord_of(name)
+    assert {TYPED_KEYS[character]: chord_of(name) for name, character in WEBDRIVER_SPECIAL_KEYS.items()} == {
+        key: key for character, key in TYPED_KEYS.items() if character != "\n"
+    }
+
+
 def test_every_key_of_the_presets_is_supported() -> None:
     for preset in ("all_supported", "shi17", "liu18", "humphreys22", "all_supported_mac_os"):
         MiniWoBAdapter.of("click-test", preset)
@@ -117,10 +127,8 @@ def test_every_key_of_the_presets_is_supported() -> None:
         ("there is no MiniWoB task 'clik-test'", lambda: MiniWoBAdapter.of("clik-test")),
         ("Unknown preset", lambda: MiniWoBAdapter.of("click-test", "all")),
         (
-            "the key '<Help>' is not supported",
-            lambda: MiniWoBAdapter.of(
-                "click-test", ActionSpaceConfig([ActionTypes.PRESS_KEY], allowed_keys=["<Help>"])
-            ),
+            "the key '<Hlp>' is not supported",
+            lambda: MiniWoBAdapter.of("click-test", ActionSpaceConfig([ActionTypes.PRESS_KEY], allowed_keys=["<Hlp>"])),
         ),
         (
             "is not an action of enter-text",

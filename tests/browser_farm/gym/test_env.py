@@ -115,10 +115,10 @@ def test_a_killed_browser_truncates_the_episode_and_the_next_reset_works(env: Mi
 
 
 def test_an_unknown_task_starts_no_browser(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("browser_farm.gym.env.ChromeFarm", lambda **_: pytest.fail("started"))
+    monkeypatch.setattr("browser_farm.gym.env.open_farm", lambda *_, **__: pytest.fail("started"))
     with pytest.raises(ValueError, match="no MiniWoB task 'click-buton': did you mean 'click-button'"):
         gymnasium.make("giirl/MiniWoB-v0", task="click-buton")
-    monkeypatch.setattr("browser_farm.gym.env.ChromeFarm", lambda **_: None)
+    monkeypatch.setattr("browser_farm.gym.env.open_farm", lambda *_, **__: None)
     unopened = MiniWoB("click-button")
     with pytest.raises(gymnasium.error.ResetNeeded):
         unopened.step(None)

@@ -8,21 +8,25 @@ from pydantic import AfterValidator, Field
 from pydantic.dataclasses import dataclass
 
 from giirl_core.algorithms import ALGORITHMS, WorldName, algorithm_names
-from giirl_core.config_sections import (
+from giirl_core.config.learning import (
+    CloningConfig,
+    DiscriminatorConfig,
+    GridConfig,
+    LearnerConfig,
+    NetConfig,
+    PolicyConfig,
+    SoftQConfig,
+)
+from giirl_core.config.sections import (
     MAX_ACTORS,
     STRICT,
     ActorConfig,
-    CloningConfig,
     DemosConfig,
-    DiscriminatorConfig,
     EvaluateConfig,
-    LearnerConfig,
     MetricsConfig,
-    NetConfig,
-    PolicyConfig,
+    Place,
     Positive,
     ScoringConfig,
-    SoftQConfig,
     StreamConfig,
 )
 
@@ -50,45 +54,6 @@ MAX_OPEN_PAGES = 64  # unless the settings say more: a page takes about 18 MB
 DEFAULT_TASKS = ("click-test", "click-test-2", "click-button", "enter-text")
 
 
-@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
-class GridConfig:
-    """LanguageGridCraft. Read only with `world=gridcraft`.
-
-    The settings of `discriminator`, `policy` and `cloning` hold there too.
-    """
-
-    layouts: tuple[str, ...] = ("regions",)
-    """Names of layouts to play in."""
-    random_layouts: Annotated[int, Field(ge=0)] = 0
-    """Number of random layouts in addition. [layouts]"""
-    layout_seed: Annotated[int, Field(ge=0)] = 1000
-    """Seed of the first random layout; the others have the seeds after it."""
-    colours: Annotated[tuple[str, ...], Field(min_length=2)] = ("red", "green", "blue")
-    """Colours of the regions in random layouts and of the goals."""
-    goals: tuple[str, ...] = ()
-    """Goals to train on, "red-blue" for "Go to Red. Avoid Blue.". Empty takes all ordered pairs of the colours."""
-    held_out: tuple[str, ...] = ()
-    """Goals among them that training never sees."""
-    sentences: Literal["plain", "all"] = "plain"
-    """One sentence for each goal, or all synonyms and word orders."""
-    ngram_order: Literal[1, 2] = 2
-    """Longest n-grams counted in the instruction: single words (1), or also pairs of neighbouring words (2). [words]"""
-    adjacent_cells: bool = False
-    """Nets also see the four cells around the agent."""
-    full_map: bool = False
-    """The policy also sees the whole map. The reward never does."""
-    demonstrations: Positive = 10
-    """Demonstrations for each layout and goal. [episodes]"""
-    random_episodes: Positive = 100
-    """Episodes of the random policy, played before learning and kept for good. [episodes]"""
-    batch: Positive = 256
-    """Steps in one update of the soft Q-function. [steps]"""
-    absorbing: bool = False
-    """Add an absorbing state at the end of each episode, which the reward also scores."""
-    measure_every: Positive = 5
-    """Iterations between two exact measurements of the policy. [iterations]"""
-
-
 def _known_algorithm(name: str) -> str:
     if name not in ALGORITHMS:
         raise ValueError(f"wanted {algorithm_names()}")
@@ -102,7 +67,7 @@ Algorithm = Annotated[str, AfterValidator(_known_algorithm), Field(json_schema_e
 class Config:
     """All settings of a run."""
 
-    run: str = ""
+    run: Place = ""
     """Folder of the run. Empty makes `runs/NAME-TIME`."""
     world: WorldName = "miniwob"
     """MiniWoB pages in a browser, or LanguageGridCraft."""
@@ -114,10 +79,11 @@ class Config:
     """Real Chrome, or the fake browser of the tests, which plays a few tasks."""
     algorithm: Algorithm = "giirl"
     """What is trained; each is described in docs/algorithms.md. The grid has giirl and cloning."""
-    reward_from: str = ""
+    reward_from: Place = ""
     """With `algorithm=frozen`, and only there: the run whose learned reward is used."""
     tasks: Annotated[tuple[str, ...], Field(min_length=1)] = DEFAULT_TASKS
-    """Tasks to train and evaluate on, with one policy and one reward for all."""
+    """Tasks to train and evaluate on, with one policy and one reward for all: names of MiniWoB tasks, task files of
+    own pages (`tasks/invoices.toml`), or folders of them (`tasks/`)."""
     held_out_goals: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Fraction of all instructions that training and demonstrations never contain."""
     iterations: Positive = 300

@@ -1,4 +1,4 @@
-"""The sections of the settings tree, with defaults and allowed ranges next to the types.
+"""The settings of the nets and of how they learn.
 
 The docstring below a field is its entry in docs/configuration.md; the unit stands in brackets at its end. After a
 change: `python -m giirl_core.config_reference > docs/configuration.md`.
@@ -8,19 +8,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
-
-MAX_ACTORS = 1024  # the index of an actor is part of its page seeds
-
-Positive = Annotated[int, Field(ge=1)]
-Seconds = Annotated[float, Field(gt=0)]
-Share = Annotated[float, Field(ge=0, le=1)]
-Weight = Annotated[float, Field(ge=0)]
-PositiveFloat = Annotated[float, Field(gt=0)]
-RewardForm = Literal["logit", "d", "log_d", "gail", "goal"]  # giirl_core/nets/reward.py has the formulas
+from giirl_core.config.sections import STRICT, Positive, PositiveFloat, RewardForm, Share, Weight
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -39,87 +30,6 @@ class NetConfig:
     """Let every element attend to all other elements of the page (self-attention)."""
     adjacent_elements: bool = False
     """Also read each element together with the elements directly next to it, as a check box with its label."""
-
-
-@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
-class DemosConfig:
-    """Where demonstrations come from. Only successful ones are used."""
-
-    source: Literal["scripted", "file", "recordings"] = "scripted"
-    """Scripted experts, a file written by `giirl demos`, or a folder of public human recordings."""
-    path: str = ""
-    """The demonstration file, or the folder of recordings. Unused with scripted experts."""
-    per_task: Positive = 100
-    """Largest number of demonstrations of each task. [episodes]"""
-    collections: tuple[str, ...] = ()
-    """Sub-folders of the recordings to read. Empty reads all of them."""
-    noise_fraction: Share = 0.0
-    """Fraction of each task's demonstrations that is replaced by episodes of the random policy."""
-
-
-@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
-class ActorConfig:
-    """The processes that play episodes."""
-
-    count: Annotated[int, Field(ge=1, le=MAX_ACTORS)] = 1
-    """Number of actors. `giirl actors` changes it during a run. [processes]"""
-    min_healthy: Positive = 1
-    """The run ends with an error when fewer actors than this are left. [processes]"""
-    tabs: Positive = 8
-    """Episodes that one actor plays at the same time, each in a tab of one Chrome. [tabs]"""
-    open_pages: Annotated[int, Field(ge=0, le=256)] = 0
-    """Pages that one actor keeps open in training, while `tabs` of them are played. 0: one for each task, from `tabs`
-    to 64. [tabs]"""
-    step_delay_s: Annotated[float, Field(ge=0, le=60)] = 0.0
-    """Simulated time of every step, for experiments on pages that respond slowly. [s]"""
-    call_timeout_s: Seconds = 10.0
-    """Deadline of one call to the browser. [s]"""
-    launch_timeout_s: Seconds = 60.0
-    """Deadline of starting Chrome. [s]"""
-    score_timeout_s: Seconds = 1.0
-    """Deadline of one request to a reward service. After a second try the learner computes the rewards. [s]"""
-    heartbeat_timeout_s: Seconds = 60.0
-    """An actor that sends nothing for this long is replaced. [s]"""
-    cpus: Weight = 1.0
-    """Cores that an actor asks for on a cluster; `local` asks for nothing. [cores]"""
-    memory_mb: Weight = 1000.0
-    """Memory that an actor asks for on a cluster. 0 asks for none. [MB]"""
-    chrome: Weight = 0.0
-    """Units of the resource `chrome` that an actor asks for. A node of a cluster offers some with
-    `ray start --resources='{"chrome": 8}'`; where no node does, leave it at 0. [units]"""
-    place_timeout_s: Seconds = 24 * 3600.0
-    """An actor or reward service for which no node of a cluster has room for this long is given up. [s]"""
-    orphan_timeout_s: Annotated[float, Field(ge=10)] = 300.0
-    """An actor or reward service that hears nothing of a learner for this long ends itself. A run that is resumed
-    before goes on with it. [s]"""
-
-
-@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
-class ScoringConfig:
-    """The reward service, which computes rewards for the actors."""
-
-    replicas: Annotated[int, Field(ge=1, le=64)] = 1
-    """Number of reward services. An actor asks the least loaded one. On a cluster they are on different nodes where
-    there are enough. [processes]"""
-    cpus: Weight = 0.0
-    """Cores that a reward service asks for on a cluster. [cores]"""
-    memory_mb: Weight = 0.0
-    """Memory that a reward service asks for on a cluster. 0 asks for none. [MB]"""
-
-
-@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
-class StreamConfig:
-    """How far actors may run ahead of the learner, and how old a trajectory may be."""
-
-    credits: Annotated[int, Field(ge=1, le=1024)] = 256
-    """Most trajectories of one actor that may be played, scored, sent or queued at a time. Flow control allows fewer,
-    so that none grows stale. [trajectories]"""
-    policy_lag: Annotated[int, Field(ge=0, le=8)] = 4
-    """Trajectories of a policy further behind than this are dropped and counted. 0 is lock-step. [versions]"""
-    reward_lag: Annotated[int, Field(ge=0, le=8)] = 4
-    """Rewards further behind than this are computed again by the learner. [versions]"""
-    take_timeout_s: Seconds = 120.0
-    """The run ends with an error when the actors send too few trajectories for this long. [s]"""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -213,19 +123,21 @@ class PolicyConfig:
     value_loss_weight: Weight = 0.5
     """Weight of the squared error of the value. [relative]"""
     bc_warmup_updates: Annotated[int, Field(ge=0)] = 0
-    """Updates of behavioural cloning before the first rollout. [updates]"""
+    """Updates of behavioural cloning before the first rollout. Their learning rate falls linearly. [updates]"""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
 class CloningConfig:
     """Behavioural cloning on the same policy net."""
 
-    learning_rate: PositiveFloat = 1e-3
+    learning_rate: PositiveFloat = 3e-3
     """Learning rate of the first iteration (Adam)."""
     final_lr_fraction: Share = 0.1
     """Learning rate of the last iteration, as a fraction of the first. In the grid it does not fall."""
+    updates: Positive = 2
+    """Gradient updates per iteration. [updates]"""
     batch: Positive = 64
-    """Demonstrations in one update, all their steps. There is one update per iteration. [episodes]"""
+    """Demonstrations in one update, all their steps. [episodes]"""
     rename_prob: Share = 0.5
     """As `discriminator.rename_prob`."""
     position_jitter: Weight = 0.1
@@ -255,20 +167,39 @@ class SoftQConfig:
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
-class EvaluateConfig:
-    """How the result is measured."""
+class GridConfig:
+    """LanguageGridCraft. Read only with `world=gridcraft`.
 
-    episodes: Positive = 200
-    """Fresh pages of each task for the greedy policy. [episodes]"""
-    random_episodes: Positive = 200
-    """Fresh pages of each task for the random baseline. [episodes]"""
+    The settings of `discriminator`, `policy` and `cloning` hold there too.
+    """
 
-
-@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
-class MetricsConfig:
-    """The Prometheus endpoint of each process."""
-
-    host: str = "127.0.0.1"
-    """Address that every process listens on."""
-    port: Annotated[int, Field(ge=0, le=65535)] = 0
-    """Port of the learner; 0 takes any free one. The other processes always take a free one."""
+    layouts: tuple[str, ...] = ("regions",)
+    """Names of layouts to play in."""
+    random_layouts: Annotated[int, Field(ge=0)] = 0
+    """Number of random layouts in addition. [layouts]"""
+    layout_seed: Annotated[int, Field(ge=0)] = 1000
+    """Seed of the first random layout; the others have the seeds after it."""
+    colours: Annotated[tuple[str, ...], Field(min_length=2)] = ("red", "green", "blue")
+    """Colours of the regions in random layouts and of the goals."""
+    goals: tuple[str, ...] = ()
+    """Goals to train on, "red-blue" for "Go to Red. Avoid Blue.". Empty takes all ordered pairs of the colours."""
+    held_out: tuple[str, ...] = ()
+    """Goals among them that training never sees."""
+    sentences: Literal["plain", "all"] = "plain"
+    """One sentence for each goal, or all synonyms and word orders."""
+    ngram_order: Literal[1, 2] = 2
+    """Longest n-grams counted in the instruction: single words (1), or also pairs of neighbouring words (2). [words]"""
+    adjacent_cells: bool = False
+    """Nets also see the four cells around the agent."""
+    full_map: bool = False
+    """The policy also sees the whole map. The reward never does."""
+    demonstrations: Positive = 10
+    """Demonstrations for each layout and goal. [episodes]"""
+    random_episodes: Positive = 100
+    """Episodes of the random policy, played before learning and kept for good. [episodes]"""
+    batch: Positive = 256
+    """Steps in one update of the soft Q-function. [steps]"""
+    absorbing: bool = False
+    """Add an absorbing state at the end of each episode, which the reward also scores."""
+    measure_every: Positive = 5
+    """Iterations between two exact measurements of the policy. [iterations]"""
