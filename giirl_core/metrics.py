@@ -15,6 +15,7 @@ from threading import Lock, Thread
 from wsgiref.simple_server import WSGIServer
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, start_http_server, values
+from prometheus_client.parser import text_string_to_metric_families
 
 from giirl_core.files import write_json
 
@@ -51,12 +52,27 @@ class _Histogram(_InMemory, Histogram):
     pass
 
 
+PHASES = ("demonstrations", "starting", "training", "evaluation")  # of a run
+
+Samples = dict[str, list[tuple[dict[str, str], float]]]  # by name: labels and value of each series
+
+
+def parse_samples(text: str) -> Samples:
+    """The metrics that a process has served. ValueError if the text is something else."""
+    found: Samples = {}
+    for family in text_string_to_metric_families(text):
+        for sample in family.samples:
+            found.setdefault(sample.name, []).append((dict(sample.labels), sample.value))
+    return found
+
+
 class Metrics:
     """All metrics, in a registry of their own: two instances share no state."""
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
         self._servers: list[tuple[WSGIServer, Thread]] = []
+        self._define_run()
         self._define_environment()
         self._define_delivery()
         self._define_training()
@@ -82,6 +98,34 @@ class Metrics:
             server.shutdown()
             server.server_close()
             thread.join(timeout=5)
+
+    def enter(self, phase: str) -> None:
+        """Show the phase that the run is in from now on."""
+        for other in PHASES:
+            self.run_phase.labels(other).set(other == phase)
+
+    def dropped(self) -> dict[str, int]:
+        """The numbers of `trajectories_dropped` above 0, by reason."""
+        samples = [sample for family in self.trajectories_dropped.collect() for sample in family.samples]
+        return {s.labels["reason"]: int(s.value) for s in samples if s.value and s.name.endswith("_total")}
+
+    def _define_run(self) -> None:
+        self.run_phase = self._gauge("giirl_run_phase", "Whether the run is in a phase: 1 or 0.", "phase")
+        self.iterations_goal = self._gauge(
+            "giirl_iterations_goal", "Iterations after which the training ends; 0 before it begins."
+        )
+        self.checkpoint_time = self._gauge(
+            "giirl_checkpoint_timestamp_seconds", "Time of the last checkpoint; 0 before the first."
+        )
+        self.success = self._gauge(
+            "giirl_success_ratio", "Success over the last 100 training episodes of a task.", "task"
+        )
+        self.trajectories_queued = self._gauge(
+            "giirl_trajectories_queued", "Number of trajectories in the learner's queue."
+        )
+        self.flow = self._gauge(
+            "giirl_flow", "A rate or share over the last 20 s, by its key in `flow` of curve.jsonl.", "key"
+        )
 
     def _define_environment(self) -> None:
         self.env_steps = self._counter("giirl_env_steps_total", "Number of environment steps.")
@@ -163,9 +207,7 @@ class Metrics:
         )
 
     def _define_processes(self) -> None:
-        self.healthy_workers = self._gauge(
-            "giirl_healthy_workers", "Number of worker processes that are neither quarantined nor stopping.", "kind"
-        )
+        self.workers = self._gauge("giirl_workers", "Number of worker processes, by state.", "kind", "state")
         self.worker_exits = self._counter(
             "giirl_worker_exits_total", "Number of worker processes that exited or were killed as hung.", "kind"
         )

@@ -67,6 +67,18 @@ class ActorConfig:
     """Deadline of one request to a reward service. After a second try the learner computes the rewards. [s]"""
     heartbeat_timeout_s: Seconds = 60.0
     """An actor that sends nothing for this long is replaced. [s]"""
+    cpus: Weight = 1.0
+    """Cores that an actor asks for on a cluster; `local` asks for nothing. [cores]"""
+    memory_mb: Weight = 1000.0
+    """Memory that an actor asks for on a cluster. 0 asks for none. [MB]"""
+    chrome: Weight = 0.0
+    """Units of the resource `chrome` that an actor asks for. A node of a cluster offers some with
+    `ray start --resources='{"chrome": 8}'`; where no node does, leave it at 0. [units]"""
+    place_timeout_s: Seconds = 24 * 3600.0
+    """An actor or reward service for which no node of a cluster has room for this long is given up. [s]"""
+    orphan_timeout_s: Annotated[float, Field(ge=10)] = 300.0
+    """An actor or reward service that hears nothing of a learner for this long ends itself. A run that is resumed
+    before goes on with it. [s]"""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -74,7 +86,12 @@ class ScoringConfig:
     """The reward service, which computes rewards for the actors."""
 
     replicas: Annotated[int, Field(ge=1, le=64)] = 1
-    """Number of reward services. An actor asks the least loaded one. [processes]"""
+    """Number of reward services. An actor asks the least loaded one. On a cluster they are on different nodes where
+    there are enough. [processes]"""
+    cpus: Weight = 0.0
+    """Cores that a reward service asks for on a cluster. [cores]"""
+    memory_mb: Weight = 0.0
+    """Memory that a reward service asks for on a cluster. 0 asks for none. [MB]"""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
