@@ -18,6 +18,7 @@ from giirl_core.config import MAX_ACTORS
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.reward import build_policy
 from giirl_core.processes.worker_process import ORPHAN_TIMEOUT_S, TICK_S, WorkerProcess
+from giirl_core.telemetry.series import ACTOR
 from giirl_core.types import Purpose
 from giirl_core.weights import Weights
 from giirl_core.wire.score_client import ScoreClient
@@ -27,16 +28,18 @@ from giirl_core.wire.transport import Keys
 class ActorProcess(WorkerProcess):
     """One actor. `run` blocks its thread until `stop`; the platform calls the other methods from other threads."""
 
+    KIND = ACTOR
+
     def __init__(self, config: str, run: str, index: int, counter_file: str, keys: Keys | None) -> None:
-        super().__init__(config, keys)
-        self._run, self._index, self._counter_file = run, index, Path(counter_file)
+        super().__init__(config, run, f"actor-{index}", keys)
+        self._index, self._counter_file = index, Path(counter_file)
         self._worker: Worker | None = None
         self._weights: Weights | None = None  # the newest
         self._scorers: tuple[str, ...] = ()
 
     def addresses(self) -> tuple[str, str]:
         """The address of the metrics, and "" because an actor serves nothing else."""
-        return self._metrics.serve(self._config.metrics.host), ""
+        return self.metrics_address(), ""
 
     def run(self, incarnation: int, first: int, learner: str, scorers: tuple[str, ...], weights: Weights) -> None:
         """Play until stopped.
@@ -44,7 +47,7 @@ class ActorProcess(WorkerProcess):
         `first` is the number of this actor's pages to skip: earlier incarnations may have played them. `learner` and
         `scorers` are the addresses of the ingest and of the reward services.
         """
-        config, metrics, name = self._config, self._metrics, f"actor-{self._index}"
+        config, metrics, name = self._config, self._metrics, self._name
         agent = PolicyAgent(
             build_policy(config), load_vectors(config.net.vectors), sampled_actions=config.sampled_actions
         )
@@ -87,12 +90,14 @@ class ActorProcess(WorkerProcess):
                 worker.load(self._weights)
             if self._stopped.is_set():
                 worker.stop(0.0)
+            metrics.health.ready()
             try:
                 worker.run()
             except Orphaned:
                 self.leave()
                 raise
             finally:
+                metrics.health.not_ready("its run has ended")
                 if self._worker is worker:  # otherwise another call of `run` has begun
                     self._worker = None
 

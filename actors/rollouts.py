@@ -54,7 +54,7 @@ class Schedule:
         self._tasks_of_tab = [
             tasks[tab::tabs] if len(tasks) > tabs else [tasks[tab % len(tasks)]] for tab in range(tabs)
         ]
-        self._purpose, self._run_seed, self._first, self._stride = purpose, run_seed, first, stride
+        self.purpose, self._run_seed, self._first, self._stride = purpose, run_seed, first, stride
         self._quota = quota
         self._started = dict.fromkeys(tasks, 0)  # number of episodes of each task
         self._started_by_tab = [0] * tabs
@@ -75,7 +75,7 @@ class Schedule:
         self._started_by_tab[tab] += 1
         index = self._first + self._started[task] * self._stride
         self._started[task] += 1
-        return EpisodeSpec(task=task, seed=page_seed(self._purpose, self._run_seed, index))
+        return EpisodeSpec(task=task, seed=page_seed(self.purpose, self._run_seed, index))
 
     def requeue(self, spec: EpisodeSpec) -> None:
         """Play a lost episode again, unless it was lost MAX_LOSSES times, because some pages break every browser."""
@@ -155,17 +155,18 @@ def _play_round(
     with waiting(metrics, "browser"):
         results = browser.step(commands)
     ended: list[Episode] = []
+    purpose = schedule.purpose.name.lower()
+    metrics.env_steps.labels(purpose).inc(len(results))
     for tab, result in results.items():
         slot = slots[tab]
-        metrics.env_steps.inc()
         if result.lost:
-            metrics.episodes.labels(slot.observation.episode.task, "lost").inc()
+            metrics.episodes.labels(slot.observation.episode.task, "lost", purpose).inc()
             schedule.requeue(slot.observation.episode)
         elif not slot.pages:
-            metrics.episodes.labels(slot.observation.episode.task, "empty_page").inc()
+            metrics.episodes.labels(slot.observation.episode.task, "empty_page", purpose).inc()
         elif result.done or commands[tab].last:
             episode = _close(slot, Outcome(raw_reward=result.raw_reward, ended=result.done))
-            metrics.episodes.labels(episode.trajectory.task, _outcome_name(episode.outcome)).inc()
+            metrics.episodes.labels(episode.trajectory.task, _outcome_name(episode.outcome), purpose).inc()
             ended.append(episode)
         else:
             assert result.observation is not None

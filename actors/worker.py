@@ -198,6 +198,7 @@ class Worker:
             self._outage_end_s, self._outage_s = 0.0, OUTAGE_S
             assert isinstance(episode, Episode)
             self._uplink.submit(replace(episode, trajectory=episode.trajectory.with_rewards(rewards, version)))
+        self._metrics.health.beat()
         self._uplink.idle_share = self._idle.update(1 - self._playing / self._places)
         self._uplink.poll()
         if self._uplink.silent_for_s > self._limits.orphan_timeout_s:

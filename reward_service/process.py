@@ -10,6 +10,7 @@ import time
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from giirl_core.processes.worker_process import ORPHAN_TIMEOUT_S, TICK_S, WorkerProcess
+from giirl_core.telemetry.series import SERVICE
 from giirl_core.weights import Weights
 from giirl_core.wire.transport import Keys
 from reward_service.service import RewardService, Scorer
@@ -18,8 +19,10 @@ from reward_service.service import RewardService, Scorer
 class RewardProcess(WorkerProcess):
     """One reward service. `run` blocks its thread until `stop`; other threads call the other methods."""
 
-    def __init__(self, config: str, keys: Keys | None) -> None:
-        super().__init__(config, keys)
+    KIND = SERVICE
+
+    def __init__(self, config: str, run: str, name: str, keys: Keys | None) -> None:
+        super().__init__(config, run, name, keys)
         self._service: RewardService | None = None
         self._serving = False
         self._last_heard_s = time.monotonic()
@@ -28,7 +31,7 @@ class RewardProcess(WorkerProcess):
         """The addresses of the metrics and of the socket for score requests."""
         host = self.host() if self._keys else "127.0.0.1"
         self._service = self._service or RewardService(self._scorer, host=host, keys=self._keys, metrics=self._metrics)
-        return self._metrics.serve(self._config.metrics.host), self._service.address
+        return self.metrics_address(), self._service.address
 
     def run(self, weights: Weights) -> None:
         """Serve until stopped. While `weights` are being loaded, requests get the reply that there are none yet."""

@@ -52,7 +52,7 @@ class ThreadProcess:
 
 
 class ThreadPlatform:
-    host = "127.0.0.1"
+    host = node = "127.0.0.1"
     single_node = True
 
     def start(self, kind: type[Any], name: str, *values: Any, cpus: int, threads: int = 0) -> ThreadProcess:

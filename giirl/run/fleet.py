@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from giirl_core.config import Config
 from giirl_core.config_file import dump_config
 from giirl_core.metrics import Metrics
 from giirl_core.processes.supervision import START_TIMEOUT_S, Call, Platform, Process, SupervisedProcess
+from giirl_core.telemetry.series import WORKER_STATES, WORKERS
 from giirl_core.wire.transport import Keys
 from learner.stream.ingest import Ingest
 from reward_service.process import RewardProcess
@@ -132,7 +135,8 @@ class Fleet:
 
     def _start_service(self, index: int) -> SupervisedProcess:
         name = f"reward-service-{index}"
-        process = self._platform.start(RewardProcess, name, dump_config(self._config), self._keys, cpus=0)
+        values = (dump_config(self._config), self._folder.identity, name, self._keys)
+        process = self._platform.start(RewardProcess, name, *values, cpus=0)
 
         def start_run(process: Process, restarts: int) -> Call:
             return process.call(_method(process, restarts), self._reward)
@@ -197,8 +201,14 @@ class Fleet:
                 actor.process.kill(restart=False)
                 self._surplus.remove((actor, deadline_s))
                 self._retire(actor.name)
-        self._metrics.healthy_workers.labels("actor").set(sum(actor.healthy for actor in self._actors))
-        self._metrics.healthy_workers.labels("reward-service").set(sum(service.healthy for service in self._services))
+        self._count_workers()
+
+    def _count_workers(self) -> None:
+        """Show how many processes are in which state."""
+        members = [*self._services, *self._actors, *(actor for actor, _ in self._surplus)]
+        counts = Counter((member.kind, member.state) for member in members)
+        for kind, state in product(WORKERS, WORKER_STATES):
+            self._metrics.workers.labels(kind, state).set(counts[kind, state])
 
     def _check_health(self) -> None:
         if self._services and not any(service.healthy for service in self._services):

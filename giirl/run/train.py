@@ -6,12 +6,10 @@ import json
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from threading import Event
 from typing import Any, Protocol
 
-import numpy as np
 import torch
 
 from giirl.run.demonstrations import collect_demonstrations
@@ -25,13 +23,16 @@ from giirl.statistics import WINDOW, lowest_window
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.config_file import dump_config
-from giirl_core.metrics import Metrics, write_targets
+from giirl_core.metrics import Metrics
 from giirl_core.progress import Display, Job
+from giirl_core.telemetry.logs import configure_logs
+from giirl_core.telemetry.targets import clear_dead_targets, reachable, write_targets
 from giirl_core.types import Episode, Trajectory
 from giirl_core.weights import Weights
 from learner.algorithms import LOOPS
 from learner.checkpoint import latest_checkpoint, save_checkpoint
-from learner.devices import learner_threads
+from learner.data import with_env_reward
+from learner.devices import device_memory_bytes, learner_device, learner_threads
 from learner.learner import Learner
 
 COUNTS = "counts.json"  # in a checkpoint
@@ -39,6 +40,8 @@ COUNTS = "counts.json"  # in a checkpoint
 
 class Runtime(Protocol):
     """Plays and scores episodes: in this thread, in processes on this machine, or in a Ray cluster."""
+
+    node: str  # address of this machine, as other machines reach it
 
     def publish(self, policy: Weights, reward: Weights) -> None:
         """Use these weights from now on. The first call starts what plays."""
@@ -72,11 +75,14 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
     Raises Stopped after Ctrl-C or SIGTERM, with a checkpoint saved.
     """
     since_s = time.monotonic()
-    metrics, stop = Metrics(), Event()
+    metrics, stop = Metrics("learner"), Event()
     torch.set_num_threads(learner_threads(config))
+    configure_logs(config.log, folder.identity, "learner")
     own = metrics.serve(config.metrics.host, config.metrics.port)
     try:
+        clear_dead_targets(folder.path.parent)
         if resume is None:
+            metrics.enter("demonstrations")
             folder.save_demonstrations(collect_demonstrations(config, metrics, display))
         demonstrations = [episode.trajectory for episode in folder.load_demonstrations()]
         learner = Learner(config, demonstrations, metrics)
@@ -90,6 +96,7 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
         with stopping(stop):
             session.learn(resume)
         policy, _ = learner.weights()
+        metrics.enter("evaluation")
         tasks = evaluate(config, policy, metrics, display)
     finally:
         metrics.close()
@@ -136,23 +143,27 @@ class Session:
 
     def learn(self, resume: Path | None) -> None:
         """Train from the learner's version to `iterations`, and return when the runtime is closed."""
-        config, learner = self._config, self._learner
+        config, learner, metrics = self._config, self._learner, self._metrics
         self._folder.cut_curve(learner.version)
+        metrics.begin(self._folder.identity, config.algorithm, learner_device(config).type, config.iterations)
         if resume is not None:
             counts = json.loads((resume / COUNTS).read_text())
             self.env_steps, self.episodes = counts["env_steps"], counts["episodes"]
             self.seconds_before = counts["seconds"]
+            metrics.checkpoint_time.set((resume / COUNTS).stat().st_mtime)
         if learner.version >= config.iterations:
             return
         with self._display.busy(f"starting the {config.runtime} runtime"):
             save = self._save_if_consistent
-            self._runtime = open_runtime(config, self._folder, self._metrics, self._stop, resume, save)
+            self._runtime = open_runtime(config, self._folder, metrics, self._stop, resume, save)
+        self._own_address = reachable(self._own_address, self._runtime.node)
         try:
             with self._display.busy("starting actors and reward service"):
                 self._runtime.publish(*learner.weights())
             self._update_targets()
             if resume is None:
                 self._save()  # now the run can be resumed
+            metrics.enter("training")
             self._display.say(f"success: over the last {WINDOW} episodes of {', '.join(config.tasks)}")
             with self._display.job("training", config.iterations, learner.version) as self._job:
                 LOOPS[config.algorithm](config, learner, self, self._steps(), self._observe)
@@ -170,7 +181,7 @@ class Session:
             ) from error
         finally:
             self._runtime.close()
-            write_targets(self._folder.targets, self._folder.path.name, {})  # there is no process to scrape any more
+            write_targets(self._folder.targets, [])  # there is no process to scrape any more
 
     def take(self, episodes: int) -> list[Trajectory]:
         """Rollouts for the training loop. Their outcomes stay here and are only reported."""
@@ -203,8 +214,6 @@ class Session:
         assert self._runtime is not None
         assert self._job is not None
         self._learner.version, self._consistent = step + 1, True
-        self._metrics.policy_version.set(step + 1)
-        self._metrics.reward_version.set(step + 1)
         self.env_steps += sum(len(episode.trajectory) for episode in self._rollouts)
         self.episodes += len(self._rollouts)
         outcomes: dict[str, list[int]] = {task: [] for task in self._config.tasks}
@@ -216,6 +225,7 @@ class Session:
         numbers = {k: round(v, 4) for k, v in stats.items()}
         self._folder.append_curve({**self._counts(), "outcomes": outcomes, **numbers, "flow": rates})
         self._runtime.publish(*self._learner.weights())
+        self._metrics.end_iteration(step + 1, numbers, self._runtime.stream().actors_idle, device_memory_bytes())
         self._job.advance(1, f"{self._recent_success(outcomes)}; {format_rates(rates)}")
         self._update_targets()
         if (step + 1) % self._config.checkpoint_every == 0 or step + 1 == self._config.iterations:
@@ -230,6 +240,8 @@ class Session:
         """Success of the exploring policy over the last WINDOW episodes, task by task."""
         for task, some in outcomes.items():
             self._recent[task].extend(some)
+            if self._recent[task]:
+                self._metrics.success.labels(task).set(sum(self._recent[task]) / len(self._recent[task]))
         return (
             "success " + " ".join(f"{100 * sum(some) / max(len(some), 1):.0f}" for some in self._recent.values()) + " %"
         )
@@ -244,7 +256,9 @@ class Session:
             (partial / COUNTS).write_text(json.dumps(self._counts()))
             (partial / self._folder.config_file.name).write_text(dump_config(self._config))
 
-        save_checkpoint(self._folder.checkpoints, self._learner.version, write, keep=self._config.keep_checkpoints)
+        with self._metrics.checkpoint_duration.time():
+            save_checkpoint(self._folder.checkpoints, self._learner.version, write, keep=self._config.keep_checkpoints)
+        self._metrics.checkpoint_time.set_to_current_time()
         runtime.committed()
 
     def _save_if_consistent(self) -> None:
@@ -257,7 +271,7 @@ class Session:
         assert self._runtime is not None
         targets = {"learner": self._own_address, **self._runtime.addresses()}
         if targets != self._targets:
-            write_targets(self._folder.targets, self._folder.path.name, targets)
+            write_targets(self._folder.targets, self._metrics.announce(self._folder.identity, targets))
             for name in targets.keys() - self._targets.keys():
                 self._display.say(f"metrics of {name}: http://{targets[name]}/metrics")
             self._targets = targets
@@ -269,13 +283,6 @@ def reward_of_run(path: Path) -> Weights:
     if not ALGORITHMS[config.algorithm].has_learned_reward:
         raise ValueError(f"{path} learned no reward: its algorithm is {config.algorithm!r}, wanted giirl or frozen")
     return folder.weights(latest_checkpoint(folder.checkpoints), "reward")
-
-
-def with_env_reward(episode: Episode) -> Trajectory:
-    """The trajectory with the sparse reward of the page, for the baseline that is trained on it."""
-    rewards = np.zeros(len(episode.trajectory), dtype=np.float32)
-    rewards[-1] = episode.outcome.raw_reward
-    return replace(episode.trajectory, rewards=rewards)
 
 
 def open_runtime(

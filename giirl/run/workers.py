@@ -43,6 +43,7 @@ class WorkersRuntime:
         save: Callable[[], None],
     ) -> None:
         self._config, self._platform, self._stop, self._save_now = config, platform, stop, save
+        self.node = platform.node
         self._version = 0
         self._snapshot = IngestSnapshot.load(resume) if resume else IngestSnapshot()
         self._taken: int = json.loads((resume / RUNTIME).read_text())["taken"] if resume else 0

@@ -85,7 +85,8 @@ class RayPlatform:
                 raise
             raise RuntimeError(f"Ray did not start, tried {START_ATTEMPTS} times: {error}") from error
         signal.signal(signal.SIGTERM, sigterm_handler)  # Ray installs its own, which would end a run unsaved
-        self.host = "127.0.0.1" if self.single_node else _node_ip()
+        self.node = _node_ip()
+        self.host = "127.0.0.1" if self.single_node else self.node
 
     def start(self, kind: type[Any], name: str, *values: Any, cpus: int, threads: int = THREADS) -> RayProcess:
         full_name = f"{self._run}/{name}"

@@ -54,6 +54,7 @@ class Platform(Protocol):
     """Starts processes, on this machine or in a cluster."""
 
     host: str  # address of this process, as the started processes see it
+    node: str  # address of this machine, as other machines see it
     single_node: bool  # all processes run on this machine and end with this process
 
     def start(self, kind: type[Any], name: str, *values: Any, cpus: int, threads: int = ...) -> Process: ...
@@ -90,6 +91,15 @@ class SupervisedProcess:
     @property
     def quarantined(self) -> bool:
         return bool(self.quarantine_reason)
+
+    @property
+    def state(self) -> str:
+        """One of `giirl_core.telemetry.series.WORKER_STATES`."""
+        if self.quarantined:
+            return "given_up"
+        if self.stopping:
+            return "stopping"
+        return "starting" if self.running is None else "running"
 
     @property
     def healthy(self) -> bool:

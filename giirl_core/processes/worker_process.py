@@ -8,18 +8,26 @@ import threading
 from giirl_core.config_file import parse_config
 from giirl_core.metrics import Metrics
 from giirl_core.nets.language import load_vectors
+from giirl_core.telemetry.logs import configure_logs
+from giirl_core.telemetry.targets import reachable
 from giirl_core.wire.transport import Keys
 
 ORPHAN_TIMEOUT_S = 900.0  # a process that hears of no learner for this long exits
+MAX_WORKERS = 2048  # on one machine: how many ports are tried
 TICK_S = 0.1  # between two checks of a condition
 
 
 class WorkerProcess:
     """One worker process. Slow imports and files load in the background, so that its first call returns early."""
 
-    def __init__(self, config: str, keys: Keys | None) -> None:
+    KIND: str  # as `giirl_core.telemetry.series` names it
+
+    def __init__(self, config: str, run: str, name: str, keys: Keys | None) -> None:
+        """`run` is the identity of the run, `name` that of the process, such as "actor-0"."""
         self._config, self._keys = parse_config(json.loads(config), "the driver's config"), keys
-        self._metrics = Metrics()
+        self._metrics, self._metrics_address = Metrics(self.KIND), ""
+        self._run, self._name = run, name
+        configure_logs(self._config.log, run, name)
         self._stopped = threading.Event()
         self._preload_thread = threading.Thread(target=self._preload, daemon=True)
         self._preload_thread.start()
@@ -27,6 +35,13 @@ class WorkerProcess:
     def host(self) -> str:
         """The address of this machine, as the other processes of the run see it."""
         return "127.0.0.1"
+
+    def metrics_address(self) -> str:
+        """Serve the metrics of this process; returns the "host:port" at which the other processes reach them."""
+        settings = self._config.metrics
+        if not self._metrics_address:
+            self._metrics_address = self._metrics.serve(settings.host, settings.worker_port, ports=MAX_WORKERS)
+        return reachable(self._metrics_address, self.host())
 
     def leave(self) -> None:
         """Exit for good: there is no learner any more. Platforms override this; without one it does nothing."""

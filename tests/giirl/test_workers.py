@@ -82,7 +82,7 @@ def test_actors_are_added_and_removed_during_a_run(
 
 
 def test_rejoin_returns_from_an_idle_reward_service_and_waits_for_a_serving_one(tmp_path: Path) -> None:
-    service = RewardProcess(dump_config(config(tmp_path)), None)
+    service = RewardProcess(dump_config(config(tmp_path)), "run", "reward-service-0", None)
     service.addresses()
     first, second = seal_net(build_reward(config(tmp_path)).net, 1), seal_net(build_reward(config(tmp_path)).net, 0)
     service.rejoin(first)  # returns at once: the caller has to call run
