@@ -1,10 +1,11 @@
-"""The serial runtime: everything in one thread, without Ray. Same seed, same bytes."""
+"""What a runtime is, and the serial one: everything in one thread, without Ray. Same seed, same bytes."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
 from actors.agents import PolicyAgent
 from actors.browser import open_browser
@@ -21,6 +22,37 @@ from giirl_core.types import Episode, Purpose
 from giirl_core.weights import Weights
 
 RUNTIME = "runtime.json"  # in a checkpoint
+
+
+class Runtime(Protocol):
+    """Plays and scores episodes: in this thread, in processes on this machine, or in a Ray cluster."""
+
+    node: str  # address of this machine, as other machines reach it
+
+    def publish(self, policy: Weights, reward: Weights) -> None:
+        """Use these weights from now on. The first call starts what plays."""
+
+    def take(self, episodes: int) -> list[Episode]:
+        """At least so many new episodes, with rewards; an empty list when the run should stop."""
+
+    def stream(self) -> StreamState:
+        """How the stream of episodes does."""
+        ...
+
+    def addresses(self) -> dict[str, str]:
+        """Metrics addresses "host:port" of the other processes, by name."""
+
+    def save(self, folder: Path) -> None:
+        """Write the runtime's part of a checkpoint."""
+
+    def committed(self) -> None:
+        """The last `save` is on the disk."""
+
+    def drain(self) -> None:
+        """Stop playing and collect what is finished."""
+
+    def close(self) -> None:
+        """End all processes and close the browser."""
 
 
 class SerialRuntime:

@@ -8,15 +8,15 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Event
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 
 from giirl.run.demonstrations import collect_demonstrations
 from giirl.run.evaluate import evaluate
 from giirl.run.folder import RunFolder
-from giirl.run.serial import SerialRuntime
-from giirl.run.throughput import StreamState, Throughput, format_rates
+from giirl.run.serial import Runtime, SerialRuntime
+from giirl.run.throughput import Throughput, format_rates
 from giirl.run.workers import WorkersRuntime
 from giirl.signals import Stopped, raise_if, stopping
 from giirl.statistics import WINDOW, lowest_window
@@ -36,37 +36,6 @@ from learner.devices import device_memory_bytes, learner_device, learner_threads
 from learner.learner import Learner
 
 COUNTS = "counts.json"  # in a checkpoint
-
-
-class Runtime(Protocol):
-    """Plays and scores episodes: in this thread, in processes on this machine, or in a Ray cluster."""
-
-    node: str  # address of this machine, as other machines reach it
-
-    def publish(self, policy: Weights, reward: Weights) -> None:
-        """Use these weights from now on. The first call starts what plays."""
-
-    def take(self, episodes: int) -> list[Episode]:
-        """At least so many new episodes, with rewards; an empty list when the run should stop."""
-
-    def stream(self) -> StreamState:
-        """How the stream of episodes does."""
-        ...
-
-    def addresses(self) -> dict[str, str]:
-        """Metrics addresses "host:port" of the other processes, by name."""
-
-    def save(self, folder: Path) -> None:
-        """Write the runtime's part of a checkpoint."""
-
-    def committed(self) -> None:
-        """The last `save` is on the disk."""
-
-    def drain(self) -> None:
-        """Stop playing and collect what is finished."""
-
-    def close(self) -> None:
-        """End all processes and close the browser."""
 
 
 def train(config: Config, folder: RunFolder, resume: Path | None, display: Display) -> dict[str, Any]:
