@@ -18,12 +18,15 @@ from itertools import islice
 from pathlib import Path
 
 from browser_farm.chrome.launcher import CHROMES, DRIVERS
+from giirl_core.config import MAX_ACTORS
+from giirl_core.processes.open_files import affordable_actors, files_for, open_files_limit
 
 GIB = 1 << 30
 MIN_PYTHON = (3, 11)
 MIN_MEMORY_BYTES = 4 * GIB
 MIN_SHARED_BYTES = GIB
 GLOVE_BYTES = 400_000 * 50 * 4  # words, numbers per word, bytes per number
+MIN_ACTORS = 64  # for which the limit on open files should be enough
 VERSION_TIMEOUT_S = 20.0
 REINSTALL = "make install"
 PAGES = tuple(f"miniwob/{task}.html" for task in ("click-test", "click-test-2", "click-button", "enter-text"))
@@ -55,7 +58,7 @@ def checks(demonstrations: Path | None = None) -> list[Check]:
     driver = program("chromedriver", "GIIRL_CHROMEDRIVER", DRIVERS, package="chromium-driver")
     found = [python(), chrome, driver, same_major(chrome, driver)]
     found += [package(dependency) for dependency in dependencies()]
-    found += [pages(), glove(), cores(), memory(), shared_memory(Path("/dev/shm")), loopback()]
+    found += [pages(), glove(), cores(), memory(), shared_memory(Path("/dev/shm")), open_files(), loopback()]
     if demonstrations is not None:
         found.append(recordings(demonstrations))
     return found
@@ -227,6 +230,19 @@ def shared_memory(folder: Path) -> Check:
         ok=size >= MIN_SHARED_BYTES,
         found=f"{size / GIB:.2f} GiB, wanted {MIN_SHARED_BYTES // GIB}",
         fix="in a container: docker run --shm-size=2g",
+        needed=False,
+    )
+
+
+def open_files() -> Check:
+    """The files that a learner may open, and for how many actors that is enough."""
+    most = open_files_limit()
+    actors = affordable_actors(most)
+    return Check(
+        name="open files",
+        ok=actors >= MIN_ACTORS,
+        found=f"{most}, enough for {min(max(actors, 0), MAX_ACTORS)} actors",
+        fix=f"ulimit -Hn {files_for(MIN_ACTORS)}, or LimitNOFILE= of the service; fewer actors need fewer",
         needed=False,
     )
 

@@ -56,10 +56,10 @@ class Metrics(Series):
         else:
             self.health.not_ready(f"the phase of the run is {phase}")
 
-    def begin(self, run: str, algorithm: str, device: str, iterations: int) -> None:
+    def begin(self, identity: str, algorithm: str, device: str, iterations: int) -> None:
         """A session of training begins, with this many iterations as its goal."""
         self.enter("starting")
-        self.run_info.labels(run, algorithm, device).set(1)
+        self.run_info.labels(identity, algorithm, device).set(1)
         self.iterations_goal.set(iterations)
 
     def end_iteration(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import tempfile
 import time
 from collections import Counter
@@ -17,12 +18,14 @@ from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.config_file import dump_config
 from giirl_core.metrics import Metrics
+from giirl_core.processes.open_files import raise_open_files
 from giirl_core.processes.supervision import START_TIMEOUT_S, Call, Platform, Process, SupervisedProcess
 from giirl_core.telemetry.series import WORKER_STATES, WORKERS
 from giirl_core.wire.transport import Keys
 from learner.stream.ingest import Ingest
 from reward_service.process import RewardProcess
 
+LOG = logging.getLogger(__name__)
 POLL_S = 0.5  # between two checks of the processes
 STOP_TIMEOUT_S = 10.0  # for processes to hand over and end
 LEAVE_TIMEOUT_S = 60.0  # for a surplus actor to wait until a checkpoint covers all its episodes
@@ -57,6 +60,7 @@ class Fleet:
         self._services: list[SupervisedProcess] = []
         self._actors: list[SupervisedProcess] = []
         self._surplus: list[tuple[SupervisedProcess, float]] = []  # actors that leave, with their deadlines
+        self._refused = 0  # actors that `giirl actors` asked for in vain
         self._scorers: list[str] = []
         self._polled_s = float("-inf")
 
@@ -187,7 +191,7 @@ class Fleet:
 
     def _resize(self) -> None:
         """Start or stop actors until there are as many as `giirl actors` asked for, or else the config."""
-        self._target = self._folder.wanted_actors() or self._target
+        self._target = self._affordable(self._folder.wanted_actors() or self._target)
         leaving = {actor.name for actor, _ in self._surplus}
         while len(self._actors) < self._target and f"actor-{len(self._actors)}" not in leaving:
             self._actors.append(self._start_actor(len(self._actors)))
@@ -202,6 +206,16 @@ class Fleet:
                 self._surplus.remove((actor, deadline_s))
                 self._retire(actor.name)
         self._count_workers()
+
+    def _affordable(self, wanted: int) -> int:
+        """How many of the wanted actors to have: the present number if more would need too many open files."""
+        if wanted > self._target and wanted != self._refused:
+            try:
+                raise_open_files(wanted)
+            except ValueError as error:
+                LOG.error("the number of actors stays %d: %s", self._target, error)
+                self._refused = wanted
+        return self._target if wanted == self._refused else wanted
 
     def _count_workers(self) -> None:
         """Show how many processes are in which state."""

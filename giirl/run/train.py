@@ -24,6 +24,7 @@ from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.config_file import dump_config
 from giirl_core.metrics import Metrics
+from giirl_core.processes.open_files import raise_open_files
 from giirl_core.progress import Display, Job
 from giirl_core.telemetry.logs import configure_logs
 from giirl_core.telemetry.targets import clear_dead_targets, reachable, write_targets
@@ -47,6 +48,8 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
     metrics, stop = Metrics("learner"), Event()
     torch.set_num_threads(learner_threads(config))
     configure_logs(config.log, folder.identity, "learner")
+    if config.runtime != "serial":
+        raise_open_files(folder.wanted_actors() or config.actors.count)
     own = metrics.serve(config.metrics.host, config.metrics.port)
     try:
         clear_dead_targets(folder.path.parent)

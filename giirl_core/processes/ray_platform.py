@@ -120,7 +120,9 @@ class RayPlatform:
 )
 def _init(config: Config) -> None:
     os.environ.setdefault("RAY_timeout_ms_task_wait_for_death_info", str(DEATH_INFO_TIMEOUT_MS))
-    quiet: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
+    # What the workers write, which is their warnings, is printed here: once, and then how often it came again.
+    os.environ.setdefault("RAY_COLOR_PREFIX", "0")
+    quiet: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": True}
     if config.runtime == "ray":
         ray.init(address="auto", **quiet)
         return

@@ -71,8 +71,8 @@ class Series:
 
     def _define_processes(self) -> None:
         ProcessCollector(registry=self.registry)
-        build = self._gauge("giirl_build_info", "Version of the code; always 1.", KINDS, version=ANY, revision=ANY)
-        build.labels(importlib.metadata.version("giirl"), os.environ.get("GIIRL_REVISION", "unknown")).set(1)
+        self.build_info = self._gauge("giirl_build_info", "Version of the code.", KINDS, version=ANY, revision=ANY)
+        self.build_info.labels(importlib.metadata.version("giirl"), os.environ.get("GIIRL_REVISION", "unknown")).set(1)
         self.waiting_seconds = self._counter(
             "giirl_waiting_seconds_total", "Time that threads spent waiting.", KINDS, reason=ANY
         )
@@ -104,9 +104,9 @@ class Series:
     def _define_run(self) -> None:
         self.run_info = self._gauge(
             "giirl_run_info",
-            "Identity and settings of the run; always 1.",
+            "Identity and settings of the run.",
             (LEARNER,),
-            run=ANY,
+            identity=ANY,
             algorithm=ANY,
             device=ANY,
         )

@@ -93,3 +93,14 @@ def test_recordings_are_counted_and_an_empty_folder_differs_from_a_missing_one(t
     (tmp_path / "COLLECTION/click-test").mkdir(parents=True)
     (tmp_path / "COLLECTION/click-test/one.json.gz").write_bytes(b"")
     assert doctor.recordings(tmp_path).found.startswith("1 recordings")
+
+
+@pytest.mark.parametrize(("limit", "ok", "found"), [(1024, True, "1024, enough for 128 actors"), (256, False, "256, ")])
+def test_the_limit_on_open_files_is_shown_as_a_number_of_actors(
+    limit: int, ok: bool, found: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(doctor, "open_files_limit", lambda: limit)
+    check = doctor.open_files()
+    assert check.ok is ok
+    assert check.found.startswith(found)
+    assert check.name in {one.name for one in doctor.checks()}

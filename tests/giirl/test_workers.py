@@ -18,6 +18,7 @@ from giirl.run.workers import WorkersRuntime
 from giirl_core.config_file import dump_config
 from giirl_core.nets.parameters import seal_net
 from giirl_core.nets.reward import build_reward
+from giirl_core.processes import open_files
 from giirl_core.types import Episode
 from reward_service.process import RewardProcess
 from tests.giirl.small import config, run
@@ -104,3 +105,22 @@ def test_the_reward_service_module_imports_neither_torch_nor_the_packages_of_act
     loaded = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True, timeout=60).stdout
     assert not {"torch", "actors", "browser_farm", "learner"} & set(loaded.split())
     assert "reward_service" in loaded.split()
+
+
+def test_more_actors_than_open_files_allow_are_refused_while_the_run_goes_on(
+    runtimes: list[WorkersRuntime], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    take = WorkersRuntime.take
+
+    def growing(self: WorkersRuntime, episodes: int) -> list[Episode]:
+        RunFolder(tmp_path / "run").wanted.write_text("1000")
+        return take(self, episodes)
+
+    monkeypatch.setattr(WorkersRuntime, "take", growing)
+    monkeypatch.setattr("giirl.run.fleet.POLL_S", 0.0)
+    monkeypatch.setattr(open_files, "open_files_limit", lambda: 2000)
+    run(tmp_path / "run", "runtime=local", *FEW)
+    assert len(runtimes[0]._fleet._actors) == 1
+    refusals = [record.message for record in caplog.records if "the number of actors stays 1" in record.message]
+    assert len(refusals) == 1
+    assert "1000 actors need 4512: wanted ulimit -n 4512" in refusals[0]
