@@ -1,7 +1,8 @@
 """Actors: they run the policy in many browser tabs at once and stream the episodes to the learner."""
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from giirl_core import lazy_exports
 
 __all__ = [
     "Agent",
@@ -13,7 +14,7 @@ __all__ = [
     "play",
 ]
 
-# Where each public name is defined; its module is imported when the name is first used (PEP 562).
+# Where each public name is defined
 _MODULES = {
     "Agent": "actors.agents",
     "Decision": "actors.agents",
@@ -28,11 +29,4 @@ if TYPE_CHECKING:
     from actors.agents import Agent, Decision, ExpertAgent, PolicyAgent, RandomAgent
     from actors.rollouts import Schedule, play
 else:
-
-    def __getattr__(name: str) -> object:
-        if name in _MODULES:
-            return getattr(import_module(_MODULES[name]), name)
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-    def __dir__() -> list[str]:
-        return sorted({*globals(), *__all__})
+    __getattr__, __dir__ = lazy_exports(__name__, _MODULES)

@@ -50,9 +50,9 @@ class SlowBrowser:
         time.sleep(max(0.0, self._delay_s - (time.monotonic() - since_s)))
         return results
 
-    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
+    def screenshot(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
         """A screenshot, without a delay."""
-        return self._browser.picture(tab, box, scale=scale)
+        return self._browser.screenshot(tab, box, scale=scale)
 
     def close(self) -> None:
         """Close the browser."""

@@ -76,11 +76,11 @@ class Uplink:
         self._finished = 0
         self._notices = 0
         self._leaving = False
-        self.idle_share = 0.0  # of the tabs, as the worker sees it
+        self.idle_share = 0.0  # fraction of the tabs that wait for the learner, set by the worker
         self._connect(address)
 
     def startable(self, unfinished: int) -> int:
-        """How many episodes the actor may start while so many are played or scored."""
+        """How many episodes the actor may start while `unfinished` ones are being played or scored."""
         if self._kept_bytes >= self._limits.max_kept_bytes:
             return 0
         return max(0, self._send_limit - self._finished - unfinished)

@@ -43,6 +43,7 @@ def measure(display: Display, *, before: str = "", turns: int = 3) -> dict[str, 
         "mix": {"cpu_ms_per_step": round(mix["now"]["ms_per_step"], 3)},
         "cloning": {"cpu_ms_per_step": round(mix["now"]["cloning_ms_per_step"], 4)},
         "parts_ms": {case: by_tree["now"]["ms"] for case, by_tree in summaries.items()},
+        "memory_mb": {case: by_tree["now"]["memory_mb"] for case, by_tree in summaries.items()},
         "settings": {"turns": turns, "iterations": CASES, "before": before},
         "load_average": round(os.getloadavg()[0], 1),
     }
@@ -50,6 +51,7 @@ def measure(display: Display, *, before: str = "", turns: int = 3) -> dict[str, 
         result["four"]["ratio_before"] = _ratio(four, "episodes_per_cpu_s")
         result["mix"]["ratio_before"] = round(1 / _ratio(mix, "ms_per_step"), 2)
         result["cloning"]["ratio_before"] = round(1 / _ratio(mix, "cloning_ms_per_step"), 2)
+        result["memory_mb_before"] = {case: by_tree["before"]["memory_mb"] for case, by_tree in summaries.items()}
         result["parts_ms_before"] = {case: by_tree["before"]["ms"] for case, by_tree in summaries.items()}
     return result
 
@@ -67,6 +69,7 @@ def _summary(turns: list[Parts]) -> Parts:
         "ms_per_step": total / first["steps"],
         "episodes_per_cpu_s": 1e3 * first["episodes"] / total,
         "cloning_ms_per_step": statistics.median(turn["cloning_ms_per_step"] for turn in turns),
+        "memory_mb": statistics.median(turn["memory_mb"] for turn in turns),
     }
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import importlib.util
 import inspect
 import json
+import resource
 import statistics
 import sys
 import time
@@ -31,7 +32,7 @@ EPISODES = 32  # per iteration on the four tasks; on the mix there is one per ta
 
 
 def main(mix: bool, rounds: int, folder: Path) -> dict[str, Any]:
-    """The median CPU time of each part of an iteration, and of a cloning update per step, in ms."""
+    """The median CPU time of each part of an iteration and of a cloning update per step, in ms, and the peak memory."""
     torch.set_num_threads(1)
     demonstrations, rollouts = _fixture(folder)
     if mix:
@@ -53,6 +54,7 @@ def main(mix: bool, rounds: int, folder: Path) -> dict[str, Any]:
         "steps": sum(map(len, rollouts)),
         "ms": {name: round(value, 2) for name, value in ms.items()},
         "cloning_ms_per_step": round(1e3 * statistics.median(cloning), 4),
+        "memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
     }
 
 

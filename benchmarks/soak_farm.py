@@ -166,7 +166,7 @@ class Soak:
         self.step()
         seconds = time.monotonic() - start
         causes = dict(Counter(self.causes) - before)
-        self.faults.append({"kind": kind, "at_episode": episodes, "healed_s": round(seconds, 2), "told": causes})
+        self.faults.append({"kind": kind, "at_episode": episodes, "healed_s": round(seconds, 2), "causes": causes})
 
     def _signal(self, kind: str) -> None:
         """Kill or stop the browser or its driver."""

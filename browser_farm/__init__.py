@@ -4,10 +4,11 @@ Importing the package registers `giirl/MiniWoB-v0` with Gymnasium. Chrome and it
 needs them is first used. `FakeFarm` is a simulated browser for tests.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
 
 from gymnasium import register
+
+from giirl_core import lazy_exports
 
 __all__ = [
     "Action",
@@ -25,7 +26,7 @@ __all__ = [
     "Verb",
 ]
 
-# Where each public name is defined; its module is imported when the name is first used (PEP 562).
+# Where each public name is defined
 _MODULES = {
     "Action": "giirl_core.types",
     "Browser": "giirl_core.types",
@@ -49,14 +50,7 @@ if TYPE_CHECKING:
     from browser_farm.gym.vector_env import MiniWoBVector
     from giirl_core.types import Action, Browser, Command, EpisodeSpec, Goal, Observation, Page, StepResult, Verb
 else:
-
-    def __getattr__(name: str) -> object:
-        if name in _MODULES:
-            return getattr(import_module(_MODULES[name]), name)
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-    def __dir__() -> list[str]:
-        return sorted({*globals(), *__all__})
+    __getattr__, __dir__ = lazy_exports(__name__, _MODULES)
 
 
 register(

@@ -27,7 +27,7 @@ class Row:
 
 
 @dataclass(slots=True)
-class Tab:
+class FakeTab:
     """The state of one tab."""
 
     episode: EpisodeSpec
@@ -87,7 +87,7 @@ class FakeFarm:
 
     def __init__(self, *, tabs: int = 8) -> None:
         self.tabs = tabs
-        self._open: dict[int, Tab] = {}
+        self._open: dict[int, FakeTab] = {}
 
     def reset(self, episodes: Mapping[int, EpisodeSpec]) -> dict[int, Observation]:
         for tab, episode in episodes.items():
@@ -106,7 +106,7 @@ class FakeFarm:
             self._open[tab] = _generate(command.following)
         return StepResult(raw_reward=reward or 0.0, done=done, observation=_observe(self._open[tab]))
 
-    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
+    def screenshot(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
         """The fake browser has no screenshots."""
         return b""
 
@@ -120,7 +120,7 @@ def check_task(task: str) -> None:
         raise ValueError(f"the fake browser has no task {task!r}: it has {', '.join(TASKS)}")
 
 
-def _generate(episode: EpisodeSpec) -> Tab:
+def _generate(episode: EpisodeSpec) -> FakeTab:
     """The page of an episode; ValueError when there is no such task."""
     check_task(episode.task)
     rng = np.random.default_rng(episode.seed)
@@ -134,10 +134,10 @@ def _generate(episode: EpisodeSpec) -> Tab:
         ],
         axis=1,
     ).astype(np.float32)
-    return Tab(episode, Goal(utterance), rows, wanted, boxes)
+    return FakeTab(episode, Goal(utterance), rows, wanted, boxes)
 
 
-def _act(tab: Tab, command: Command) -> float | None:
+def _act(tab: FakeTab, command: Command) -> float | None:
     """Execute the command; returns the page's reward if that ends the episode, else None."""
     if not 0 <= command.ref < len(tab.rows):
         return None
@@ -151,7 +151,7 @@ def _act(tab: Tab, command: Command) -> float | None:
     return None
 
 
-def _observe(tab: Tab) -> Observation:
+def _observe(tab: FakeTab) -> Observation:
     rows, boxes = tab.rows, tab.boxes
     assert boxes is not None
     page = Page(

@@ -125,7 +125,7 @@ class ChromeFarm:
             results[tab] = replace(results[tab], observation=observation)
         return results
 
-    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
+    def screenshot(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
         """PNG of a part of a tab: left, top, width, height in CSS px, with `scale` pixels per CSS px.
 
         Returns b"" for a tab that does not answer; its episode is reported as lost by the next step.
@@ -150,7 +150,7 @@ class ChromeFarm:
         """
         images = {tab: np.zeros((height, width, 3), dtype=np.uint8) for tab in tabs}
         for tab, image in images.items():
-            if png := self.picture(tab, (0, 0, width, height)):
+            if png := self.screenshot(tab, (0, 0, width, height)):
                 image[:] = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
         return images
 

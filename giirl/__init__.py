@@ -3,8 +3,9 @@
 `import giirl` loads none of its modules; torch and Ray are loaded when a name that needs them is first used.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from giirl_core import lazy_exports
 
 __all__ = [
     "Config",
@@ -18,7 +19,7 @@ __all__ = [
     "write_episodes",
 ]
 
-# Where each public name is defined; its module is imported when the name is first used (PEP 562).
+# Where each public name is defined
 _MODULES = {
     "Config": "giirl_core.config",
     "RunFolder": "giirl.run.folder",
@@ -38,11 +39,4 @@ if TYPE_CHECKING:
     from giirl_core.config_file import load_config
     from giirl_core.wire.messages import read_episodes, write_episodes
 else:
-
-    def __getattr__(name: str) -> object:
-        if name in _MODULES:
-            return getattr(import_module(_MODULES[name]), name)
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-    def __dir__() -> list[str]:
-        return sorted({*globals(), *__all__})
+    __getattr__, __dir__ = lazy_exports(__name__, _MODULES)

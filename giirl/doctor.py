@@ -18,7 +18,7 @@ from itertools import islice
 from pathlib import Path
 
 from browser_farm.chrome.launcher import CHROMES, DRIVERS
-from giirl_core.config import MAX_ACTORS
+from giirl_core.config import DEFAULT_TASKS, MAX_ACTORS
 from giirl_core.processes.open_files import affordable_actors, files_for, open_files_limit
 
 GIB = 1 << 30
@@ -29,7 +29,7 @@ GLOVE_BYTES = 400_000 * 50 * 4  # words, numbers per word, bytes per number
 MIN_ACTORS = 64  # for which the limit on open files should be enough
 VERSION_TIMEOUT_S = 20.0
 REINSTALL = "make install"
-PAGES = tuple(f"miniwob/{task}.html" for task in ("click-test", "click-test-2", "click-button", "enter-text"))
+PAGES = tuple(f"miniwob/{task}.html" for task in DEFAULT_TASKS)
 SKIPPED_EXTRAS = ("all", "dev")  # "all" repeats the other extras, "dev" is for work on GIIRL itself
 
 

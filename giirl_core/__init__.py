@@ -3,6 +3,8 @@
 The package imports no other package of the project. `import giirl_core` loads none of its modules.
 """
 
+import sys
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -28,7 +30,25 @@ __all__ = [
     "write_episodes",
 ]
 
-# Where each public name is defined; its module is imported when the name is first used (PEP 562).
+
+def lazy_exports(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
+    """`__getattr__` and `__dir__` of a package that imports a module when one of its public names is used (PEP 562).
+
+    `modules` gives the module that defines each name. Other names are an AttributeError.
+    """
+
+    def find(name: str) -> object:
+        if name in modules:
+            return getattr(import_module(modules[name]), name)
+        raise AttributeError(f"module {package!r} has no attribute {name!r}")
+
+    def names() -> list[str]:
+        return sorted({*vars(sys.modules[package]), *modules})
+
+    return find, names
+
+
+# Where each public name is defined
 _MODULES = {
     "Action": "giirl_core.types",
     "Browser": "giirl_core.types",
@@ -73,11 +93,4 @@ if TYPE_CHECKING:
     from giirl_core.wire.messages import read_episodes, write_episodes
     from giirl_core.wire.score_client import ScoreClient
 else:
-
-    def __getattr__(name: str) -> object:
-        if name in _MODULES:
-            return getattr(import_module(_MODULES[name]), name)
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-    def __dir__() -> list[str]:
-        return sorted({*globals(), *__all__})
+    __getattr__, __dir__ = lazy_exports(__name__, _MODULES)

@@ -1,6 +1,6 @@
 """Prints the reference of all settings as Markdown.
 
-`python -m giirl_core.config_reference > docs/configuration.md` writes the committed page anew.
+`python -m giirl_core.config_reference > docs/configuration.md` updates the committed page.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The sections of the settings tree, with defaults and allowed ranges beside the types.
+"""The sections of the settings tree, with defaults and allowed ranges next to the types.
 
 The docstring below a field is its entry in docs/configuration.md; the unit stands in brackets at its end. After a
 change: `python -m giirl_core.config_reference > docs/configuration.md`.
@@ -39,7 +39,7 @@ class NetConfig:
     element_attention: bool = True
     """Let every element attend to all other elements of the page (self-attention)."""
     adjacent_elements: bool = False
-    """Also read each element together with the elements right beside it, as a check box with its label."""
+    """Also read each element together with the elements directly next to it, as a check box with its label."""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -63,7 +63,7 @@ class ActorConfig:
     """The processes that play episodes."""
 
     count: Annotated[int, Field(ge=1, le=MAX_ACTORS)] = 1
-    """Number of actors. `giirl actors` changes it while a run goes on. [processes]"""
+    """Number of actors. `giirl actors` changes it during a run. [processes]"""
     min_healthy: Positive = 1
     """The run ends with an error when fewer actors than this are left. [processes]"""
     tabs: Positive = 8
@@ -111,10 +111,10 @@ class LearnerConfig:
     """Where the learner computes."""
 
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Device of the nets in training. `auto` takes a CUDA device where there is one; `serial` stays on the CPU then."""
+    """Device of the nets in training. `auto` is a CUDA device if there is one; in `serial` it is the CPU."""
     threads: Annotated[int, Field(ge=0)] = 0
-    """Threads of the learner on the CPU. 0 takes the cores that the actors of a local run leave free, at least one, and
-    all cores of a learner that has a node of a cluster to itself. [threads]"""
+    """CPU threads of the learner. 0 is automatic: one in `serial`, in `local` the cores that the actors leave free (at
+    least one), in `ray` all cores of the learner's node. [threads]"""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -188,7 +188,7 @@ class PolicyConfig:
     """Discount factor per step."""
     entropy: PositiveFloat = 0.15
     """Entropy weight alpha of the first iteration. [nats of reward per nat of entropy]"""
-    final_entropy: Annotated[float, Field(gt=0, le=1)] = 0.3
+    final_entropy_fraction: Annotated[float, Field(gt=0, le=1)] = 0.3
     """Entropy weight of the last iteration, as a fraction of the first. In the grid it does not fall."""
     vtrace_weight: Weight = 1.0
     """Weight of the V-trace policy gradient on the actions taken. [relative]"""
@@ -281,9 +281,9 @@ class GridConfig:
     """Goals among them that training never sees."""
     sentences: Literal["plain", "all"] = "plain"
     """One sentence for each goal, or all synonyms and word orders."""
-    order: Literal[1, 2] = 2
-    """Counts single words (1), or also pairs of neighbouring words (2)."""
-    neighbours: bool = False
+    ngram_order: Literal[1, 2] = 2
+    """Longest n-grams counted in the instruction: single words (1), or also pairs of neighbouring words (2). [words]"""
+    adjacent_cells: bool = False
     """Nets also see the four cells around the agent."""
     full_map: bool = False
     """The policy also sees the whole map. The reward never does."""

@@ -194,8 +194,8 @@ class StepResult:
 class Browser(Protocol):
     """K browser tabs, each with one episode at a time. `reset` opens episodes and `step` acts, in many tabs at once.
 
-    Keys are tab numbers from 0 to `tabs` - 1. `picture` returns a PNG of an area (left, top, width, height in CSS px),
-    or b"" from a browser without screenshots. The loop of an actor:
+    Keys are tab numbers from 0 to `tabs` - 1. `screenshot` returns a PNG of an area (left, top, width, height in CSS
+    px), or b"" from a browser without screenshots. The loop of an actor:
 
         observations = browser.reset({tab: next_episode() for tab in range(browser.tabs)})
         while True:
@@ -209,7 +209,7 @@ class Browser(Protocol):
 
     def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]: ...
 
-    def picture(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes: ...
+    def screenshot(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes: ...
 
     def close(self) -> None: ...
 

@@ -15,7 +15,7 @@ class Weights:
     digest: str  # sha256 of blob, hex
 
     @classmethod
-    def seal(cls, version: int, blob: bytes) -> Weights:
+    def with_digest(cls, version: int, blob: bytes) -> Weights:
         """Weights with the checksum of `blob` computed."""
         return cls(version=version, blob=blob, digest=hashlib.sha256(blob).hexdigest())
 

@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from gridcraft.instructions import SYNONYMS, TEMPLATES, Pair, ordered_pairs, plain_sentence, sample_sentence
+from gridcraft.instructions import SYNONYMS, TEMPLATES, ColourPair, ordered_pairs, plain_sentence, sample_sentence
 from gridcraft.layouts import COLOURS, SYMBOL_OF, WALL, Layout, named_layout
 from gridcraft.world import ACTIONS, HORIZON, build_world, sample_starts, step, true_reward
 
@@ -36,7 +36,7 @@ class LanguageGridCraft(gymnasium.Env[GridObservation, SupportsInt]):
         self,
         layout: str | Layout = "regions",
         *,
-        pairs: tuple[Pair, ...] = (),  # pairs that episodes are sampled from; empty means all pairs of the layout
+        pairs: tuple[ColourPair, ...] = (),  # pairs that episodes are sampled from; empty means all pairs of the layout
         plain: bool = False,  # always use the template "Go to X. Avoid Y."
         slip: float = 0.0,
         horizon: int = HORIZON,
@@ -67,7 +67,7 @@ class LanguageGridCraft(gymnasium.Env[GridObservation, SupportsInt]):
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[GridObservation, dict[str, Any]]:
-        """Start an episode. `options={"pair": Pair(...)}` sets its pair; other options are a ValueError."""
+        """Start an episode. `options={"pair": ColourPair(...)}` sets its pair; other options are a ValueError."""
         super().reset(seed=seed)
         remaining = dict(options or {})
         pair = remaining.pop("pair", None) or self.pairs[int(self.np_random.integers(len(self.pairs)))]

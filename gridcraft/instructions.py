@@ -36,7 +36,7 @@ TEMPLATES = (
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class ColourPair:
     """The meaning of an instruction: a colour to go to and a different colour to avoid."""
 
     goal: str
@@ -49,23 +49,23 @@ class Pair:
             raise ValueError(f"a pair got {self.goal!r} as both goal and avoid: wanted two colours")
 
 
-def ordered_pairs(colours: tuple[str, ...] = COLOURS) -> tuple[Pair, ...]:
+def ordered_pairs(colours: tuple[str, ...] = COLOURS) -> tuple[ColourPair, ...]:
     """Every ordered pair of two different colours."""
-    return tuple(Pair(goal, avoid) for goal, avoid in itertools.permutations(colours, 2))
+    return tuple(ColourPair(goal, avoid) for goal, avoid in itertools.permutations(colours, 2))
 
 
-def plain_sentence(pair: Pair) -> str:
+def plain_sentence(pair: ColourPair) -> str:
     """The pair in the thesis's wording, "Go to Red. Avoid Blue."."""
     return _fill(PLAIN_TEMPLATE, pair.goal, pair.avoid)
 
 
-def sentences(pair: Pair) -> tuple[str, ...]:
+def sentences(pair: ColourPair) -> tuple[str, ...]:
     """Every sentence with this meaning, the plain sentence first."""
     words = itertools.product(TEMPLATES, SYNONYMS[pair.goal], SYNONYMS[pair.avoid])
     return tuple(_fill(template, goal, avoid) for template, goal, avoid in words)
 
 
-def sample_sentence(pair: Pair, rng: np.random.Generator) -> str:
+def sample_sentence(pair: ColourPair, rng: np.random.Generator) -> str:
     """A sentence with this meaning, sampled uniformly from `sentences`."""
     return str(rng.choice(sentences(pair)))
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gridcraft.instructions import Pair
+from gridcraft.instructions import ColourPair
 from gridcraft.layouts import colour_number
 from gridcraft.planning import (
     distance_to,
@@ -118,7 +118,7 @@ def auc(positive: Array, negative: Array) -> float:
     return float(wins / (positive.size * negative.size))
 
 
-def avoid_rank(world: World, score: Array, pair: Pair) -> float:
+def avoid_rank(world: World, score: Array, pair: ColourPair) -> float:
     """The probability that an avoided cell has a lower score [S] than a neutral cell; ties count half.
 
     1/2 means that "avoid" was not learned. Neutral cells are neither goal nor avoided. The score is the
@@ -128,7 +128,7 @@ def avoid_rank(world: World, score: Array, pair: Pair) -> float:
     return auc(score[neutral], score[avoid])
 
 
-def matched_avoid_rank(world: World, score: Array, pair: Pair) -> float:
+def matched_avoid_rank(world: World, score: Array, pair: ColourPair) -> float:
     """`avoid_rank` among cells of one layout at equal distance from the goal: shaped rewards rise towards the goal.
 
     The mean over avoided cells that have such a neutral cell; nan where none has.
@@ -142,7 +142,7 @@ def matched_avoid_rank(world: World, score: Array, pair: Pair) -> float:
     return float((wins[matches > 0] / matches[matches > 0]).mean()) if matches.any() else math.nan
 
 
-def violation_rate(world: World, pi: Array, pair: Pair, horizon: int = HORIZON) -> float:
+def violation_rate(world: World, pi: Array, pair: ColourPair, horizon: int = HORIZON) -> float:
     """The exact fraction of episodes in which pi [S, A] or [T, S, A] takes a step on the avoided colour."""
     avoid = world.colour == colour_number(pair.avoid)
     now, entered = world.start.copy(), 0.0
@@ -162,7 +162,7 @@ def _standardised(x: Array) -> Array | None:
     return centred / length
 
 
-def _avoided_and_neutral(world: World, score: Array, pair: Pair) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _avoided_and_neutral(world: World, score: Array, pair: ColourPair) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """[S], [S] masks of the avoided cells and of the neutral cells whose score is finite."""
     goal, avoid = world.colour == colour_number(pair.goal), world.colour == colour_number(pair.avoid)
     known = np.isfinite(score)

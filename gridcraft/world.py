@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gridcraft.instructions import Pair
+from gridcraft.instructions import ColourPair
 from gridcraft.layouts import COLOURS, WALL, WHITE, Layout, colour_number
 
 ACTIONS = ("up", "down", "left", "right", "stay")
@@ -81,7 +81,7 @@ def step_reward(colour: NDArray[np.int64], goal: NDArray[np.int64], avoid: NDArr
     return reward
 
 
-def true_reward(world: World, pair: Pair) -> NDArray[np.float64]:
+def true_reward(world: World, pair: ColourPair) -> NDArray[np.float64]:
     """[S, A] the sparse reward of the thesis. It depends on the cell the agent acts from, not on the action.
 
     ValueError where a layout lacks one of the two colours.
@@ -122,17 +122,17 @@ def step(
     return world.next_state[state, action]
 
 
-def observations(world: World, neighbours: bool = True) -> NDArray[np.float32]:
+def observations(world: World, adjacent_cells: bool = True) -> NDArray[np.float32]:
     """[S, F] the observation in each state, without information about which layout it is in.
 
-    Row and column scaled to [-1, 1] and the cell's colour as one-hot of 5: F = 7. With `neighbours` also each of
-    the four adjacent cells as one-hot of 6 (white, the colours, wall or edge): F = 31.
+    Row and column scaled to [-1, 1] and the cell's colour as one-hot of 5: F = 7. With `adjacent_cells` also each of
+    the four cells around it as one-hot of 6 (white, the colours, wall or edge): F = 31.
     """
     size = np.array([layout.cells.shape for layout in world.layouts])[world.layout]
     scaled = 2.0 * world.position / np.maximum(size - 1, 1) - 1.0
     kinds = len(COLOURS) + 1
     features = [scaled, np.eye(kinds)[world.colour]]
-    if neighbours:
+    if adjacent_cells:
         blocked = world.next_state[:, :4] == np.arange(len(world))[:, None]
         adjacent = np.where(blocked, kinds, world.colour[world.next_state[:, :4]])
         features.append(np.eye(kinds + 1)[adjacent].reshape(len(world), -1))

@@ -10,11 +10,11 @@ from typing import Any, TypeAlias
 
 from giirl_core.config import Config
 from learner.giirl import giirl
-from learner.protocols import BaselineLearning, Learning, Observe, Source
+from learner.protocols import BaselineParts, LearnerParts, Observe, Source
 
 
 def behavioural_cloning(
-    config: Config, learner: Learning, source: Source, steps: Iterable[int], observe: Observe
+    config: Config, learner: LearnerParts, source: Source, steps: Iterable[int], observe: Observe
 ) -> None:
     """Behavioural cloning (figure 4.8 of Luo 2019). Rollouts are played only to report the policy's success."""
     for step in steps:
@@ -23,7 +23,7 @@ def behavioural_cloning(
 
 
 def train_on_frozen_reward(
-    config: Config, learner: Learning, source: Source, steps: Iterable[int], observe: Observe
+    config: Config, learner: LearnerParts, source: Source, steps: Iterable[int], observe: Observe
 ) -> None:
     """Train a new policy on the learned reward of another run, which stays fixed."""
     for step in steps:
@@ -33,7 +33,7 @@ def train_on_frozen_reward(
 
 
 def train_on_env_reward(
-    config: Config, learner: BaselineLearning, source: Source, steps: Iterable[int], observe: Observe
+    config: Config, learner: BaselineParts, source: Source, steps: Iterable[int], observe: Observe
 ) -> None:
     """Train a policy on the page's own sparse reward, which `source` stores in the rollouts."""
     for step in steps:
@@ -42,7 +42,7 @@ def train_on_env_reward(
 
 
 def soft_q_imitation(
-    config: Config, learner: BaselineLearning, source: Source, steps: Iterable[int], observe: Observe
+    config: Config, learner: BaselineParts, source: Source, steps: Iterable[int], observe: Observe
 ) -> None:
     """SQIL (Reddy et al. 2020) or IQ-Learn (Garg et al. 2021): soft Q-learning from demonstrations and rollouts.
 

@@ -81,7 +81,7 @@ def _free_name(folder: Path, step: int) -> Path:
 
 
 def _advice(folder: Path, damaged: Path) -> str:
-    """The end of an error message: how to resume all the same."""
+    """The end of an error message: how to resume from an older checkpoint."""
     others = [path.name for path in sorted(folder.glob("step-*")) if path != damaged]
     if not others:
         return "; there is no older checkpoint"

@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from giirl_core.config import Config
-from learner.protocols import Learning, Observe, Source
+from learner.protocols import LearnerParts, Observe, Source
 
 
-def giirl(config: Config, learner: Learning, source: Source, steps: Iterable[int], observe: Observe) -> None:
+def giirl(config: Config, learner: LearnerParts, source: Source, steps: Iterable[int], observe: Observe) -> None:
     """Learn a reward and a policy together. `observe` publishes, reports and saves after every step."""
     demos, discriminator, policy = learner.demos, learner.discriminator, learner.policy
     for step in steps:

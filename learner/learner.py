@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from giirl_core.config import Config
 from giirl_core.metrics import Metrics
 from giirl_core.nets.language import load_vectors
-from giirl_core.nets.parameters import hash_nets, load_net, load_optimiser, seal_net, seal_optimiser
+from giirl_core.nets.parameters import hash_nets, load_net, load_optimiser, serialise_net, serialise_optimiser
 from giirl_core.nets.reward import build_policy, build_reward
 from giirl_core.types import Episode, Outcome, Trajectory
 from giirl_core.weights import Weights
@@ -82,14 +82,19 @@ class Learner:
         progress = step / max(self.config.iterations - 1, 1)
         anneal_discriminator(self.discriminator, progress)
         anneal(self.policy, progress)
-        self.policy.entropy = linear_decay(self.config.policy.entropy, self.config.policy.final_entropy, progress)
+        self.policy.entropy = linear_decay(
+            self.config.policy.entropy, self.config.policy.final_entropy_fraction, progress
+        )
         anneal(self.cloner, progress)
         anneal(self.soft_q, progress)
 
-    def bc_warmup(self) -> None:
-        """Behavioural cloning for `policy.bc_warmup_updates` updates, to be called before the first iteration."""
+    def bc_warmup(self) -> Iterator[dict[str, float]]:
+        """Behavioural cloning for `policy.bc_warmup_updates` updates, to be run before the first iteration.
+
+        Yields the statistics of each update.
+        """
         for _ in range(self.config.policy.bc_warmup_updates):
-            self.cloner.update(self.demos.sample(self.config.cloning.batch))
+            yield self.cloner.update(self.demos.sample(self.config.cloning.batch))
         self.soft_q.update_target(1.0)
 
     def load_reward(self, weights: Weights) -> None:
@@ -98,7 +103,7 @@ class Learner:
 
     def weights(self) -> tuple[Weights, Weights]:
         """The current parameters of the policy and of the reward."""
-        return seal_net(self.policy.net, self.version), seal_net(self.discriminator.model.net, self.version)
+        return serialise_net(self.policy.net, self.version), serialise_net(self.discriminator.model.net, self.version)
 
     def hash(self) -> str:
         """The sha256 of the parameters of policy and reward, in hex."""
@@ -107,9 +112,9 @@ class Learner:
     def save(self, folder: Path) -> None:
         """Write the state that the next iteration depends on into an empty folder."""
         for name, net in self._nets().items():
-            (folder / f"{name}.safetensors").write_bytes(seal_net(net, self.version).blob)
+            (folder / f"{name}.safetensors").write_bytes(serialise_net(net, self.version).blob)
         for name, optimiser in self._optimisers().items():
-            (folder / f"{name}_optimiser.safetensors").write_bytes(seal_optimiser(optimiser))
+            (folder / f"{name}_optimiser.safetensors").write_bytes(serialise_optimiser(optimiser))
         episodes = [Episode(trajectory=e.trajectory, outcome=UNKNOWN_OUTCOME) for e in self.replay.examples]
         write_episodes(folder / "replay.giirl", episodes)
         state = {
@@ -131,7 +136,7 @@ class Learner:
     def _load(self, folder: Path) -> None:
         state: dict[str, Any] = json.loads((folder / "learner.json").read_text())
         for name, net in self._nets().items():
-            load_net(net, Weights.seal(state["version"], (folder / f"{name}.safetensors").read_bytes()))
+            load_net(net, Weights.with_digest(state["version"], (folder / f"{name}.safetensors").read_bytes()))
         for name, optimiser in self._optimisers().items():
             load_optimiser(optimiser, (folder / f"{name}_optimiser.safetensors").read_bytes())
         self.replay.examples = self.featurise([e.trajectory for e in read_episodes(folder / "replay.giirl")])

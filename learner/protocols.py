@@ -67,8 +67,8 @@ class QLearner(Protocol):
     def update(self, expert: Batch, rollouts: Batch, /) -> Stats: ...
 
 
-class Learning(Protocol):
-    """The learner of Algorithm 1. The cloner is for the baseline of figure 4.8."""
+class LearnerParts(Protocol):
+    """The parts of a learner that Algorithm 1 uses. The cloner is for the baseline of figure 4.8."""
 
     @property
     def demos(self) -> Demos: ...
@@ -85,8 +85,8 @@ class Learning(Protocol):
     def featurise(self, episodes: Episodes, /) -> Batch: ...
 
 
-class BaselineLearning(Learning, Protocol):
-    """The learner of the other baselines, which need two more parts."""
+class BaselineParts(LearnerParts, Protocol):
+    """The parts that the other baselines use: two more."""
 
     @property
     def soft_q(self) -> QLearner: ...

@@ -14,6 +14,8 @@ SETTINGS = r"""
 \bdemos\.spoiled\b
 \bfloor_episodes\b
 \bnet\.(beside|neighbours|order|overlap)\b
+\bgrid\.(neighbours|order)\b
+\bfinal_entropy\b
 \bactors\.(silence_s|minimum)\b
 \bchance_episodes\b
 \bwhole_map\b
@@ -50,6 +52,8 @@ CODE = r"""
 \bdelivery\.(BEAT|WHO)\b
 \bhas_judged\b
 \bwhole_file\b
+\bseal_(net|optimiser)\b
+\bWeights\.seal\b
 \breward_measures\b
 \bentering_rate\b
 \bdraw: np\.random\.Generator\b

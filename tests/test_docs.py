@@ -35,7 +35,7 @@ FOLDERS = (
 )
 SETTING = re.compile(r"([a-z_]+(?:\.[a-z_]+)*)=\S*")
 PYTHON_API = ("docs/farm.md", "docs/gymnasium.md")  # key=value in these are arguments of functions
-OLD_SETTINGS = "CHANGELOG.md"  # lists old names beside the new ones
+OLD_SETTINGS = "CHANGELOG.md"  # lists old and new names
 OLD_NAMES_LISTED = (OLD_SETTINGS, "giirl_core/renamed_settings.py", "tests/old_names.py", "tests/test_docs.py")
 
 

@@ -105,7 +105,7 @@ def drag_the_tile(view: PageView) -> Action:
         right, down = DIRECTIONS[view.extract(r"(\w+) by one")]
         to_line, to_column = line + int(down), column + int(right)
     rightwards, upwards = to_column > column, to_line < line
-    # A tile is inserted after every tile whose centre it has passed, also on its way. The offsets account for that.
+    # A tile is inserted after every tile whose centre it has passed, also on the way there. The offsets allow for that.
     across = 6.0 if rightwards and not upwards else -26.0 if rightwards else -10.0
     tile, place = items[3 * line + column], items[3 * to_line + to_column]
     return view.drag(tile, to=place, by=(across, -6.0 if upwards else 0.0))

@@ -24,7 +24,7 @@ from giirl_core.weights import Weights
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class GoalStep:
     """One expert (s, a) with its goal."""
 
     page: Page
@@ -43,13 +43,13 @@ def sensitivity(config: Config, reward: Weights, pages: int, metrics: Metrics, d
     found: dict[str, Any] = {}
     trajectories = _play_expert(config, pages, metrics, display)
     for task in config.tasks:
-        pairs = [pair for trajectory in trajectories if trajectory.task == task for pair in _goal_steps(trajectory)]
-        if len({pair.goal for pair in pairs}) < 2:
+        steps = [step for trajectory in trajectories if trajectory.task == task for step in _goal_steps(trajectory)]
+        if len({step.goal for step in steps}) < 2:
             continue  # every page has the same instruction: there is no other goal to compare with
-        found[task] = _measure(model, pairs, config.seed)
+        found[task] = _measure(model, steps, config.seed)
         for group, held_out in (("trained_goals", False), ("held_out_goals", True)) if config.held_out_goals else ():
-            part = [pair for pair in pairs if is_held_out(pair.goal, config.held_out_goals) is held_out]
-            if len({pair.goal for pair in part}) > 1:
+            part = [step for step in steps if is_held_out(step.goal, config.held_out_goals) is held_out]
+            if len({step.goal for step in part}) > 1:
                 found[task][group] = _measure(model, part, config.seed)
     return found
 
@@ -65,38 +65,38 @@ def _play_expert(config: Config, pages: int, metrics: Metrics, display: Display)
     return sorted(won, key=lambda trajectory: trajectory.seed)
 
 
-def _goal_steps(trajectory: Trajectory) -> list[Pair]:
+def _goal_steps(trajectory: Trajectory) -> list[GoalStep]:
     """The steps that another goal would make wrong: typing, and clicks on an element that the goal names."""
     return [
-        Pair(page, action, trajectory.goal)
+        GoalStep(page, action, trajectory.goal)
         for page, action in zip(trajectory.pages, trajectory.actions, strict=True)
         if action.verb is Verb.TYPE or f'"{page.text[action.element]}"' in trajectory.goal.utterance
     ]
 
 
-def _measure(model: RewardModel, pairs: Sequence[Pair], seed: int) -> dict[str, Any]:
+def _measure(model: RewardModel, steps: Sequence[GoalStep], seed: int) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
-    own = _score(model, pairs, [pair.goal for pair in pairs])
-    first, second = (_score(model, pairs, [_another(pair.goal, pairs, rng) for pair in pairs]) for _ in range(2))
+    own = _score(model, steps, [step.goal for step in steps])
+    first, second = (_score(model, steps, [_another(step.goal, steps, rng) for step in steps]) for _ in range(2))
     return {
         "auc": goal_sensitivity(own, first),
         "shuffled": goal_sensitivity(first, second),
-        "pairs": len(pairs),
-        "goals": len({pair.goal for pair in pairs}),
+        "pairs": len(steps),
+        "goals": len({step.goal for step in steps}),
     }
 
 
-def _another(goal: Goal, pairs: Sequence[Pair], rng: np.random.Generator) -> Goal:
+def _another(goal: Goal, steps: Sequence[GoalStep], rng: np.random.Generator) -> Goal:
     """A goal of another page that differs from this one."""
-    others = [pair.goal for pair in pairs if pair.goal != goal]
+    others = [step.goal for step in steps if step.goal != goal]
     return others[rng.integers(len(others))]
 
 
-def _score(model: RewardModel, pairs: Sequence[Pair], goals: Sequence[Goal]) -> np.ndarray[Any, Any]:
+def _score(model: RewardModel, steps: Sequence[GoalStep], goals: Sequence[Goal]) -> np.ndarray[Any, Any]:
     actions = []
-    for pair, goal in zip(pairs, goals, strict=True):
-        start, end = pair.action.start, pair.action.end
-        if pair.action.verb is Verb.TYPE and goal != pair.goal:
-            start, end = goal.find(pair.action.text(pair.goal))
-        actions.append(replace(pair.action, start=start, end=end))
-    return model.score_pairs([pair.page for pair in pairs], actions, goals).numpy().astype(np.float64)
+    for step, goal in zip(steps, goals, strict=True):
+        start, end = step.action.start, step.action.end
+        if step.action.verb is Verb.TYPE and goal != step.goal:
+            start, end = goal.find(step.action.text(step.goal))
+        actions.append(replace(step.action, start=start, end=end))
+    return model.score_pairs([step.page for step in steps], actions, goals).numpy().astype(np.float64)

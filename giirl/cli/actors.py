@@ -18,7 +18,7 @@ from giirl_core.progress import Display
 def actors(run: Path, count: int) -> None:
     """Change the number of actors of RUN to COUNT while it runs.
 
-    The run notices within a second. Surplus actors hand over their finished episodes before they end.
+    The run notices within a second. Surplus actors send their finished episodes before they end.
     """
     folder, config = RunFolder.open(run)
     if config.runtime == "serial" or config.stream.policy_lag == 0:

@@ -79,7 +79,7 @@ def record(out: Path, tasks: tuple[str, ...], per_task: int, seed: int) -> None:
 @click.argument("folder", type=click.Path(path_type=Path))
 @OUT
 @click.option("--task", "tasks", multiple=True, help="A task; may be given again.  [default: every task in FOLDER]")
-@click.option("--per-task", type=click.IntRange(1), help="At most so many recordings without errors per task.")
+@click.option("--per-task", type=click.IntRange(1), help="Maximum number of recordings without errors per task.")
 @click.option("--collection", "collections", multiple=True, help="Only this folder of FOLDER; may be given again.")
 @JSON
 def import_(

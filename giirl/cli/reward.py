@@ -10,9 +10,8 @@ import click
 from giirl.cli.options import JSON, RUN, OutputFile, save_json
 from giirl.cli.report import say_written
 from giirl.run.folder import RunFolder
-from giirl.run.worlds import world_of
+from giirl.run.worlds import open_web_run, world_of
 from giirl_core.config import Config
-from giirl_core.config_file import load_config
 from giirl_core.progress import Display
 
 
@@ -57,7 +56,7 @@ def sensitivity(run: Path, pages: int, json_file: Path | None) -> None:
     from giirl.run.train import reward_of_run
     from giirl_core.metrics import Metrics
 
-    _, config = _open_web_run(run)
+    _, config = open_web_run(run)
     found = sensitivity(config, reward_of_run(run), pages, Metrics(), Display())
     save_json(json_file, {"tasks": found})
     for task, row in found.items():
@@ -93,7 +92,7 @@ def score(run: Path, file: Path, json_file: Path | None) -> None:
     from giirl.analysis.scores import score_file, score_table
     from giirl.run.train import reward_of_run
 
-    _, config = _open_web_run(run)
+    _, config = open_web_run(run)
     scored = score_file(config, reward_of_run(run), file)
     save_json(json_file, scored)
     Display().table(score_table(scored))
@@ -107,7 +106,7 @@ def serve(run: Path, port: int) -> None:
     from giirl.analysis.scores import serve_reward
     from giirl.run.train import reward_of_run
 
-    _, config = _open_web_run(run)
+    _, config = open_web_run(run)
     weights = reward_of_run(run)
 
     def on_ready(address: str) -> None:
@@ -119,15 +118,6 @@ def serve(run: Path, port: int) -> None:
 
 def _open_for_task(run: Path, task: str) -> tuple[RunFolder, Config]:
     """A run on web pages, with `task` as the only task of its config."""
-    folder, config = _open_web_run(run, f'tasks=["{task}"]')
+    folder, config = open_web_run(run, f'tasks=["{task}"]')
     world_of(config).check(config)
-    return folder, config
-
-
-def _open_web_run(run: Path, *overrides: str) -> tuple[RunFolder, Config]:
-    """A run on web pages; ValueError for a run in another world."""
-    folder, _ = RunFolder.open(run)
-    config = load_config(folder.config_file, overrides)
-    if not world_of(config).has_pages:
-        raise ValueError(f"{run} has world = {config.world!r}, which has no pages: wanted a run with world = 'miniwob'")
     return folder, config

@@ -8,7 +8,7 @@ from typing import Any
 
 from giirl.report.element_rewards import EpisodeView, scale_of
 from giirl.report.inspector import Inspector
-from giirl.report.numbers import facts_of, lead_of, learning_group, no_reward, weights_of
+from giirl.report.numbers import facts_of, flow_group, lead_of, learning_group, no_reward, weights_of
 from giirl.report.render import render, scale_view, strip_view
 from giirl.report.worlds import report_of
 from giirl.run.folder import RunFolder
@@ -29,7 +29,10 @@ def report(folder: RunFolder, config: Config, out: Path, pages: int, command: st
     points, result = folder.points(), _result(folder)
     demonstrations = _demonstrations(folder, config, result)
     world = report_of(config)
-    groups = [world.success_group(config, points, result, demonstrations), learning_group(points)] if points else []
+    groups = []
+    if points:
+        success = world.success_group(config, points, result, demonstrations)
+        groups = [success, learning_group(points), *flow_group(points)]
     facts = facts_of(config, points, result, sum(demonstrations.values()) or None)
     strips, words = world.strips(folder, config, pages, display)
     scale = scale_of(config)

@@ -43,7 +43,7 @@ class Frame:
     """One step of an episode, under the page's own instruction and under another one."""
 
     page: Page
-    picture: bytes | None  # PNG of the page's `visible_area`; None if the browser has no screenshots
+    screenshot: bytes | None  # PNG of the page's `visible_area`; None if the browser has no screenshots
     own: ScoredPage
     other: ScoredPage | None  # None where no other instruction fits the page
 

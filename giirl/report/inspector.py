@@ -92,7 +92,7 @@ class Inspector:
     def _frame(self, observation: Observation, other: Goal | None) -> Frame:
         return Frame(
             page=observation.page,
-            picture=_screenshot(self._browser, visible_area(observation.page)),
+            screenshot=_screenshot(self._browser, visible_area(observation.page)),
             own=self._score(observation),
             other=self._score(replace(observation, goal=other)) if other is not None else None,
         )
@@ -106,4 +106,4 @@ class Inspector:
 
 
 def _screenshot(browser: Browser, area: Box) -> bytes | None:
-    return browser.picture(TAB, (area.x, area.y, area.width, area.height), scale=PIXEL_RATIO) or None
+    return browser.screenshot(TAB, (area.x, area.y, area.width, area.height), scale=PIXEL_RATIO) or None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from giirl.report.charts import Chart, Line, draw_chart
 from giirl.run.folder import RunFolder
@@ -32,6 +32,16 @@ TITLES = {
     "p_reward": "Learned reward of the rollouts",
     "p_ratio": "Importance ratio",
 }
+FLOW: tuple[tuple[str, Literal["", "%"], dict[str, str]], ...] = (  # title, unit, and the lines: key, name
+    ("Episodes per second", "", {"episodes_per_s": "taken by the learner"}),
+    ("Share of time waiting, %", "%", {"learner_waits": "learner waits", "actors_idle": "actors idle"}),
+    ("Policy lag, versions", "", {"lag": "mean of the episodes"}),
+    ("Stale episodes, %", "%", {"stale": "dropped"}),
+)
+FLOW_WORDS = (
+    "The learner waits when the actors are too slow, and the actors are idle when the learner is. An episode is stale, "
+    "and dropped, when the policy that played it is too many versions old."
+)
 COUNTS = frozenset({"step", "env_steps", "episodes", "seconds"})
 
 Points = Sequence[Mapping[str, Any]]
@@ -110,6 +120,21 @@ def learning_group(points: Points) -> Group:
         if min(y) != max(y)
     ]
     return Group(title="Training statistics", words="Plotted against environment steps.", charts=tuple(charts))
+
+
+def flow_group(points: Points) -> list[Group]:
+    """How fast the run went and who waited for whom. No group for a run whose curve has no such numbers."""
+    measured = [point for point in points if "flow" in point]
+    if not measured:
+        return []
+    steps = [point["env_steps"] for point in measured]
+    charts = []
+    for title, unit, lines in FLOW:
+        curves = {key: [float(point["flow"][key]) for point in measured] for key in lines}
+        drawn = [Line(name=name, x=steps, y=curves[key]) for key, name in lines.items()]
+        charts.append(draw_chart(title, drawn, unit=unit))
+    words = "Over the last seconds before each iteration, against environment steps. " + FLOW_WORDS
+    return [Group(title="Throughput", words=words, charts=tuple(charts))]
 
 
 def _smooth(values: Sequence[float]) -> list[float]:

@@ -41,7 +41,7 @@ class FrameView:
     """One step of an episode."""
 
     title: str
-    picture: str  # data URL of the PNG, "" without a screenshot
+    screenshot: str  # data URL of the PNG, "" without a screenshot
     sides: tuple[SideView, ...]
     rows: tuple[tuple[str, tuple[str, ...]], ...]  # element, its reward under each instruction
 
@@ -104,7 +104,7 @@ def _frame(task: str, step: int, frame: Frame, scale: Scale) -> FrameView:
     scored = {OWN: frame.own} | ({OTHER: frame.other} if frame.other is not None else {})
     return FrameView(
         title=f"Step {step}",
-        picture=data_url(frame.picture) if frame.picture is not None else "",
+        screenshot=data_url(frame.screenshot) if frame.screenshot is not None else "",
         sides=tuple(_side(f"{task}, step {step}", frame, heading, one, scale) for heading, one in scored.items()),
         rows=_rows(frame, list(scored.values())),
     )

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from giirl.run.folder import RunFolder
-from giirl.run.worlds import world_of
+from giirl.run.worlds import open_web_run, world_of
 from giirl_core.config import Config
 from giirl_core.config_file import load_config
 from giirl_core.files import write_json
@@ -64,7 +64,7 @@ def load_reward(run: Path) -> RewardModel:
     from giirl.run.train import reward_of_run
     from giirl_core.nets.reward import build_reward
 
-    _, config = _on_pages(run)
+    _, config = open_web_run(run)
     return build_reward(config, reward_of_run(run))
 
 
@@ -74,14 +74,7 @@ def load_policy(run: Path, *, greedy: bool = True) -> PolicyAgent:
     from giirl_core.nets.language import load_vectors
     from giirl_core.nets.reward import build_policy
 
-    folder, config = _on_pages(run)
+    folder, config = open_web_run(run)
     agent = PolicyAgent(build_policy(config), load_vectors(config.net.vectors), greedy=greedy)
     agent.load(folder.weights(latest_checkpoint(folder.checkpoints), "policy"))
     return agent
-
-
-def _on_pages(run: Path) -> tuple[RunFolder, Config]:
-    folder, config = RunFolder.open(run)
-    if not world_of(config).has_pages:
-        raise ValueError(f"{run} is a run with world = {config.world!r}, wanted one with world = 'miniwob'")
-    return folder, config

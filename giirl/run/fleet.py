@@ -27,7 +27,7 @@ from reward_service.process import RewardProcess
 
 LOG = logging.getLogger(__name__)
 POLL_S = 0.5  # between two checks of the processes
-STOP_TIMEOUT_S = 10.0  # for processes to hand over and end
+STOP_TIMEOUT_S = 10.0  # for actors to send their finished episodes, and processes to end
 LEAVE_TIMEOUT_S = 60.0  # for a surplus actor to wait until a checkpoint covers all its episodes
 
 
@@ -66,7 +66,7 @@ class Fleet:
 
     @property
     def starting(self) -> bool:
-        """True while a process is on its way up."""
+        """Whether a process is still starting."""
         return any(member.running is None and not member.quarantined for member in self._members)
 
     def load(self, policy: Any, reward: Any) -> None:
@@ -115,7 +115,7 @@ class Fleet:
         return f"; {'; '.join(idle[:4])}; there are {self._platform.resources()}" if idle else ""
 
     def drain(self) -> None:
-        """Let the actors hand over their finished episodes and end."""
+        """Let the actors send their finished episodes and end."""
         for actor in self._actors:
             actor.stopping = True
             actor.notify("stop", 0.0)

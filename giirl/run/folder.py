@@ -16,6 +16,8 @@ from giirl_core.types import Episode
 from giirl_core.weights import Weights
 from giirl_core.wire.messages import read_episodes, write_episodes
 
+RUNTIME_FILE = "runtime.json"  # in a checkpoint: where the runtime continues
+
 
 class RunFolder:
     """The paths of a run's files, and reading and writing them."""
@@ -113,4 +115,4 @@ class RunFolder:
     def weights(self, checkpoint: Path, net: str) -> Weights:
         """The weights of a net ("policy" or "reward") in a checkpoint."""
         version = json.loads((checkpoint / "learner.json").read_text())["version"]
-        return Weights.seal(version, (checkpoint / f"{net}.safetensors").read_bytes())
+        return Weights.with_digest(version, (checkpoint / f"{net}.safetensors").read_bytes())

@@ -21,7 +21,7 @@ from giirl.signals import Stopped, raise_if, stopping
 from giirl_core.config import Config, GridConfig
 from giirl_core.nets.parameters import hash_nets
 from giirl_core.progress import Display
-from gridcraft.instructions import Pair, ordered_pairs, plain_sentence
+from gridcraft.instructions import ColourPair, ordered_pairs, plain_sentence
 from gridcraft.layouts import Layout, named_layout, random_layout
 from gridcraft.reward_metrics import state_mean
 from gridcraft.world import build_world
@@ -79,7 +79,7 @@ def layouts_of(grid: GridConfig) -> tuple[Layout, ...]:
     return named + tuple(random_layout(seed, colours=grid.colours) for seed in seeds)
 
 
-def pairs_of(grid: GridConfig) -> tuple[Pair, ...]:
+def pairs_of(grid: GridConfig) -> tuple[ColourPair, ...]:
     """The pairs of colours (goal, avoid) to train on: all of the config, without the held-out ones."""
     held_out = {read_pair(text) for text in grid.held_out}
     every = tuple(read_pair(text) for text in grid.goals) or ordered_pairs(grid.colours)
@@ -90,12 +90,12 @@ def pairs_of(grid: GridConfig) -> tuple[Pair, ...]:
     return kept
 
 
-def read_pair(text: str) -> Pair:
+def read_pair(text: str) -> ColourPair:
     """Parse "red-blue": go to red, avoid blue."""
     goal, dash, avoid = text.partition("-")
     if not dash:
         raise ValueError(f"{text!r} is not a pair of colours: wanted one like 'red-blue', go to red and avoid blue")
-    return Pair(goal, avoid)
+    return ColourPair(goal, avoid)
 
 
 def open_run(config: Config, checkpoint: Path | None = None) -> GridRun:
@@ -235,12 +235,12 @@ def grid_table(result: dict[str, Any]) -> Table:
     return table
 
 
-def draw_rewards(path: Path, config: Config, learner: GridLearner, layout: Layout, pairs: Sequence[Pair]) -> None:
+def draw_rewards(path: Path, config: Config, learner: GridLearner, layout: Layout, pairs: Sequence[ColourPair]) -> None:
     """Draw the map and the state-mean learned reward under each sentence (figure 4.3 of the thesis)."""
     draw_maps(path, layout, reward_panels(config, learner, layout, pairs))
 
 
-def reward_panels(config: Config, learner: GridLearner, layout: Layout, pairs: Sequence[Pair]) -> list[Panel]:
+def reward_panels(config: Config, learner: GridLearner, layout: Layout, pairs: Sequence[ColourPair]) -> list[Panel]:
     """The state-mean learned reward [H, W] on a layout under each sentence."""
     world = build_world([layout])
     panels = []

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from giirl.statistics import goal_sensitivity
 from giirl_core.config import Config
-from gridcraft.instructions import Pair, plain_sentence
+from gridcraft.instructions import ColourPair, plain_sentence
 from gridcraft.layouts import Layout
 from gridcraft.planning import normalized_return, occupancy, return_bounds, solve
 from gridcraft.reward_metrics import (
@@ -33,7 +33,7 @@ from learner.grid.steps import EXPERT_TEMPERATURE
 class Measures:
     """Measures of one goal in one layout. Returns are normalised: 0 is the random policy, 1 the optimal one."""
 
-    pair: Pair
+    pair: ColourPair
     policy: float  # return of the learned policy, as it explores
     cloning: float  # return of the cloned policy; 0 if nothing was cloned
     reoptimised: float  # return of value iteration on the frozen reward
@@ -56,7 +56,7 @@ class Tables:
     reward: NDArray[np.float64]  # [S, A]
 
 
-def learned_tables(config: Config, learner: GridLearner, world: World, pair: Pair) -> Tables:
+def learned_tables(config: Config, learner: GridLearner, world: World, pair: ColourPair) -> Tables:
     """The nets evaluated on every state and action under the plain sentence of a pair, trained on or not."""
     features = GridFeatures(world, [plain_sentence(pair)], learner.bag, config.grid)
     form, clip = config.discriminator.reward, config.discriminator.clip
@@ -78,7 +78,7 @@ class GroundTruth:
 
 
 @functools.lru_cache(maxsize=1024)
-def ground_truth(world: World, pair: Pair) -> GroundTruth:
+def ground_truth(world: World, pair: ColourPair) -> GroundTruth:
     """Computed once for each world and pair."""
     reward = true_reward(world, pair)
     return GroundTruth(
@@ -105,14 +105,16 @@ def policy_returns(config: Config, learner: GridLearner, world: World) -> list[f
     ]
 
 
-def measure(config: Config, learner: GridLearner, layouts: Sequence[Layout], pairs: Sequence[Pair]) -> list[Measures]:
+def measure(
+    config: Config, learner: GridLearner, layouts: Sequence[Layout], pairs: Sequence[ColourPair]
+) -> list[Measures]:
     """Measure every pair in every layout."""
     return [_measure(config, learner, layout_world(layout), pair) for layout in layouts for pair in pairs]
 
 
-def _measure(config: Config, learner: GridLearner, world: World, pair: Pair) -> Measures:
+def _measure(config: Config, learner: GridLearner, world: World, pair: ColourPair) -> Measures:
     true, tables = ground_truth(world, pair), learned_tables(config, learner, world, pair)
-    swapped = learned_tables(config, learner, world, Pair(pair.avoid, pair.goal)).reward
+    swapped = learned_tables(config, learner, world, ColourPair(pair.avoid, pair.goal)).reward
     agent, score = reoptimise(world, tables.reward), state_mean(tables.reward)
     policy, cloning, reoptimised = (
         normalized_return(world, pi, true.reward, bounds=true.bounds) for pi in (tables.policy, tables.cloning, agent)

@@ -10,6 +10,7 @@ from typing import Protocol
 from actors.agents import PolicyAgent
 from actors.browser import open_browser
 from actors.rollouts import play_pages
+from giirl.run.folder import RUNTIME_FILE
 from giirl.run.throughput import StreamState
 from giirl_core.config import Config
 from giirl_core.goals import is_held_out
@@ -21,8 +22,6 @@ from giirl_core.telemetry.targets import node_address
 from giirl_core.types import Episode, Purpose
 from giirl_core.weights import Weights
 
-RUNTIME = "runtime.json"  # in a checkpoint
-
 
 class Runtime(Protocol):
     """Plays and scores episodes: in this thread, in processes on this machine, or in a Ray cluster."""
@@ -30,26 +29,26 @@ class Runtime(Protocol):
     node: str  # address of this machine, as other machines reach it
 
     def publish(self, policy: Weights, reward: Weights) -> None:
-        """Use these weights from now on. The first call starts what plays."""
+        """Use these weights from now on. The first call starts the actors."""
 
     def take(self, episodes: int) -> list[Episode]:
-        """At least so many new episodes, with rewards; an empty list when the run should stop."""
+        """Wait for at least `episodes` new episodes with rewards. An empty list means that the run should stop."""
 
     def stream(self) -> StreamState:
-        """How the stream of episodes does."""
+        """The number of stale episodes and the idle fraction of the actors."""
         ...
 
     def addresses(self) -> dict[str, str]:
         """Metrics addresses "host:port" of the other processes, by name."""
 
     def save(self, folder: Path) -> None:
-        """Write the runtime's part of a checkpoint."""
+        """Write the runtime's part of a checkpoint into `folder`."""
 
     def committed(self) -> None:
-        """The last `save` is on the disk."""
+        """Called when the checkpoint of the last `save` is complete on disk."""
 
     def drain(self) -> None:
-        """Stop playing and collect what is finished."""
+        """Stop playing and collect the finished episodes."""
 
     def close(self) -> None:
         """End all processes and close the browser."""
@@ -69,7 +68,7 @@ class SerialRuntime:
         self._reward_version = 0
         self._played = 0  # pages of each task so far
         if resume is not None:
-            self._played = json.loads((resume / RUNTIME).read_text())["played"]
+            self._played = json.loads((resume / RUNTIME_FILE).read_text())["played"]
 
     def publish(self, policy: Weights, reward: Weights) -> None:
         self._agent.load(policy)
@@ -99,7 +98,7 @@ class SerialRuntime:
         ]
 
     def stream(self) -> StreamState:
-        """Nothing is stale or idle where everything is played when it is taken."""
+        """No episode is stale and no tab is idle: episodes are played when the learner takes them."""
         return StreamState()
 
     def addresses(self) -> dict[str, str]:
@@ -108,10 +107,10 @@ class SerialRuntime:
 
     def save(self, folder: Path) -> None:
         """Write which pages come next."""
-        (folder / RUNTIME).write_text(json.dumps({"played": self._played}))
+        (folder / RUNTIME_FILE).write_text(json.dumps({"played": self._played}))
 
     def committed(self) -> None:
-        """Nothing to do: no episode is in flight between two steps."""
+        """Nothing to do: no episode is in flight between two learner steps."""
 
     def drain(self) -> None:
         """Nothing to do: there are no other processes."""

@@ -63,7 +63,7 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
         elif ALGORITHMS[config.algorithm].reward == "frozen":
             learner.load_reward(reward_of_run(Path(config.reward_from)))
         else:
-            learner.bc_warmup()
+            _warm_up(learner, config.policy.bc_warmup_updates, display)
         session = Session(config, folder, learner, metrics, stop, own, display)
         with stopping(stop):
             session.learn(resume)
@@ -84,6 +84,15 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
         "flow": {**session.throughput.total(), "service_reward_share": learner.discriminator.service_share},
         "parameters_sha256": learner.hash(),
     }
+
+
+def _warm_up(learner: Learner, updates: int, display: Display) -> None:
+    """Start from behavioural cloning, if the config asks for it."""
+    if not updates:
+        return
+    with display.job("behavioural cloning", updates) as job:
+        for stats in learner.bc_warmup():
+            job.advance(note=f"loss {stats['p_loss']:.3f}")
 
 
 class Session:

@@ -13,7 +13,7 @@ from pathlib import Path
 from threading import Event
 
 from giirl.run.fleet import POLL_S, Fleet
-from giirl.run.folder import RunFolder
+from giirl.run.folder import RUNTIME_FILE, RunFolder
 from giirl.run.throughput import StreamState
 from giirl_core.config import Config
 from giirl_core.metrics import Metrics
@@ -25,8 +25,7 @@ from learner.stream.flow import IngestLimits
 from learner.stream.ingest import Ingest
 from learner.stream.snapshot import IngestSnapshot
 
-STARTING_POLL_S = 0.05  # between two checks of the processes while one is on its way up
-RUNTIME = "runtime.json"  # in a checkpoint
+STARTING_POLL_S = 0.05  # between two checks of the processes while one is starting
 
 
 class WorkersRuntime:
@@ -46,7 +45,7 @@ class WorkersRuntime:
         self.node = platform.node
         self._version = 0
         self._snapshot = IngestSnapshot.load(resume) if resume else IngestSnapshot()
-        self._taken: int = json.loads((resume / RUNTIME).read_text())["taken"] if resume else 0
+        self._taken: int = json.loads((resume / RUNTIME_FILE).read_text())["taken"] if resume else 0
         # Connections beyond this machine are encrypted.
         keys = None if platform.single_node else Keys.load_or_create(folder.keys)
         self._ingest = Ingest(
@@ -120,14 +119,14 @@ class WorkersRuntime:
         """Write the episodes that were accepted and not used yet, and the position in every actor's stream."""
         self._snapshot = self._ingest.snapshot()
         self._snapshot.save(folder)
-        (folder / RUNTIME).write_text(json.dumps({"taken": self._taken}))
+        (folder / RUNTIME_FILE).write_text(json.dumps({"taken": self._taken}))
 
     def committed(self) -> None:
         """The last `save` is on the disk: actors may delete the episodes that it covers."""
         self._ingest.commit(self._snapshot)
 
     def drain(self) -> None:
-        """Let the actors hand over their finished episodes and end."""
+        """Let the actors send their finished episodes and end."""
         self._fleet.drain()
 
     def close(self) -> None:

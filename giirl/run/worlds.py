@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from giirl.run.folder import RunFolder
 from giirl_core.algorithms import WorldName
 from giirl_core.config import Config
+from giirl_core.config_file import load_config
 from giirl_core.progress import Display
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-    from giirl.run.folder import RunFolder
 
 
 class World(Protocol):
@@ -101,3 +101,12 @@ WORLDS: dict[WorldName, World] = {"miniwob": Web(), "gridcraft": Grid()}
 def world_of(config: Config) -> World:
     """The world that a config names."""
     return WORLDS[config.world]
+
+
+def open_web_run(run: Path, *overrides: str) -> tuple[RunFolder, Config]:
+    """The folder and config of a run on web pages, with `overrides` as `key=value`; ValueError for another world."""
+    folder, _ = RunFolder.open(run)
+    config = load_config(folder.config_file, overrides)
+    if not world_of(config).has_pages:
+        raise ValueError(f"{run} has world = {config.world!r}, which has no pages: wanted a run with world = 'miniwob'")
+    return folder, config

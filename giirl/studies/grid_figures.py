@@ -14,9 +14,9 @@ from giirl.run.grid_metrics import measure
 from giirl.studies.grid_settings import thesis
 from giirl_core.config import Config
 from giirl_core.progress import Display
-from gridcraft.instructions import Pair, plain_sentence
+from gridcraft.instructions import ColourPair, plain_sentence
 
-SENTENCES = (Pair("green", "blue"), Pair("red", "blue"))  # of figure 4.3
+SENTENCES = (ColourPair("green", "blue"), ColourPair("red", "blue"))  # of figure 4.3
 
 
 def figure_4_3(seeds: int, out: Path, display: Display) -> dict[str, Any]:

@@ -43,7 +43,7 @@ def thesis(seed: int = 0) -> Config:
         ),
         policy=PolicyConfig(updates=12, gamma=0.9, entropy=0.05, learning_rate=3e-3),
         cloning=CloningConfig(batch=8),
-        grid=GridConfig(neighbours=True, demonstrations=40),
+        grid=GridConfig(adjacent_cells=True, demonstrations=40),
     )
 
 
@@ -60,7 +60,7 @@ def joint(seed: int = 0, layout_seed: int = 1000) -> Config:
         policy=PolicyConfig(updates=80, gamma=0.9, entropy=0.05, learning_rate=2e-3),
         cloning=CloningConfig(batch=8),
         grid=GridConfig(
-            layouts=(), random_layouts=8, layout_seed=layout_seed, neighbours=True, full_map=True, measure_every=30
+            layouts=(), random_layouts=8, layout_seed=layout_seed, adjacent_cells=True, full_map=True, measure_every=30
         ),
     )
 
@@ -72,7 +72,7 @@ def _shorter(config: Config, grid: GridConfig) -> Config:
 
 
 def few(seed: int, demonstrations: int) -> Config:
-    """The joint setting with so many demonstrations per layout and goal."""
+    """The joint setting with `demonstrations` per layout and goal."""
     full = joint(seed)
     grid = dataclasses.replace(full.grid, demonstrations=demonstrations)
     return _shorter(full, grid)
@@ -120,9 +120,9 @@ ABLATIONS: dict[str, dict[str, dict[str, Any]]] = {
     "absorbing states": {"grid": {"absorbing": True}},
     "no slower discriminator": {"discriminator": {"final_lr_fraction": 1.0}},
     "slower as the policy improves": {"discriminator": {"lr_schedule": "accuracy"}},
-    "cells around not seen": {"grid": {"neighbours": False}},
+    "cells around not seen": {"grid": {"adjacent_cells": False}},
     "colours renamed": {"discriminator": {"rename_prob": 0.5}},
-    "single words": {"grid": {"order": 1}},
+    "single words": {"grid": {"ngram_order": 1}},
 }
 
 

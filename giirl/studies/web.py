@@ -41,7 +41,7 @@ AIRL = (  # its reward assumes alpha = 1, and its D is correct only for actions 
     "discriminator.wrong_goal=0",
     "discriminator.clip=10",
     "policy.entropy=1",
-    "policy.final_entropy=1",
+    "policy.final_entropy_fraction=1",
 )
 AGILE = (  # a classifier of final steps
     "discriminator.replay=1",

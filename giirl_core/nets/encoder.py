@@ -71,7 +71,9 @@ class Encoder(nn.Module):
         self.register_buffer("table", torch.from_numpy(vectors.table), persistent=False)
         words = self.table.shape[1]
         self.token_in = nn.Linear(words + TOKEN_FLAGS, width)
-        self.token_conv = nn.ModuleList(nn.Linear(3 * width, width) for _ in range(2))  # of a word and those beside it
+        self.token_conv = nn.ModuleList(
+            nn.Linear(3 * width, width) for _ in range(2)
+        )  # of a word and its two neighbours
         self.tag = nn.Embedding(TAGS, 16)
         self.classes = nn.Embedding(CLASSES, 8, padding_idx=0)
         self.element_in = nn.Linear(words + 16 + 8 + ELEMENT_FLAGS + MATCH_KINDS * width, width)

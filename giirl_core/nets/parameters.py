@@ -12,9 +12,9 @@ from torch import nn
 from giirl_core.weights import Weights
 
 
-def seal_net(net: nn.Module, version: int) -> Weights:
+def serialise_net(net: nn.Module, version: int) -> Weights:
     """The parameters of a net as safetensors bytes, with a checksum. `version` is the learner step."""
-    return Weights.seal(version, safetensors.torch.save(net.state_dict()))
+    return Weights.with_digest(version, safetensors.torch.save(net.state_dict()))
 
 
 def load_net(net: nn.Module, weights: Weights) -> None:
@@ -46,7 +46,7 @@ def hash_nets(*nets: nn.Module) -> str:
     return digest.hexdigest()
 
 
-def seal_optimiser(optimiser: torch.optim.Optimizer) -> bytes:
+def serialise_optimiser(optimiser: torch.optim.Optimizer) -> bytes:
     """The optimiser's state of each parameter (the moments of Adam), without the hyperparameters of the config."""
     moments = optimiser.state_dict()["state"]
     blob: bytes = safetensors.torch.save(
@@ -56,7 +56,7 @@ def seal_optimiser(optimiser: torch.optim.Optimizer) -> bytes:
 
 
 def load_optimiser(optimiser: torch.optim.Optimizer, blob: bytes) -> None:
-    """The inverse of `seal_optimiser`. Raises ValueError when a moment has another shape than its parameter."""
+    """The inverse of `serialise_optimiser`. Raises ValueError when a moment has another shape than its parameter."""
     moments: dict[int, dict[str, torch.Tensor]] = {}
     for key, tensor in safetensors.torch.load(blob).items():
         index, name = key.split(".", 1)

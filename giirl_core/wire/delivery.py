@@ -67,9 +67,9 @@ class Notice:
     stamp: Stamp  # its `sequence` is the first episode of which the actor keeps a copy
     number: int  # of this notice; grows with every notice of an incarnation
     finished: int  # number of episodes finished in this incarnation: sequences 0 to finished - 1
-    full: bool = False  # the actor keeps so many copies that it needs a checkpoint to go on
+    full: bool = False  # the actor's buffer of copies is nearly full: it needs a checkpoint
     before: IncarnationCounts = ()  # earlier incarnations that are not settled
-    idle_share: float = 0.0  # of the actor's tabs, because it may start no episode
+    idle_share: float = 0.0  # fraction of the actor's tabs that may start no episode
 
     def __post_init__(self) -> None:
         if not 0 <= self.idle_share <= 1:

@@ -13,12 +13,12 @@ from giirl_core.types import TOKEN
 class BagOfWords:
     """Word counts over a fixed vocabulary (Luo 2019, section 3.4).
 
-    With `order=2` bigrams are counted too: single words cannot distinguish "Go to red. Avoid blue." from
+    With `ngram_order=2` bigrams are counted too: single words cannot distinguish "Go to red. Avoid blue." from
     "Go to blue. Avoid red.".
     """
 
-    def __init__(self, utterances: Iterable[str], order: int = 1) -> None:
-        self.order = order
+    def __init__(self, utterances: Iterable[str], ngram_order: int = 1) -> None:
+        self.ngram_order = ngram_order
         terms = {term for utterance in utterances for term in self._terms(utterance)}
         self.column = {term: i for i, term in enumerate(sorted(terms))}
 
@@ -32,4 +32,4 @@ class BagOfWords:
 
     def _terms(self, utterance: str) -> Sequence[str]:
         words = [m.group() for m in TOKEN.finditer(utterance.lower()) if m.group().isalnum()]
-        return [" ".join(words[i : i + n]) for n in range(1, self.order + 1) for i in range(len(words) - n + 1)]
+        return [" ".join(words[i : i + n]) for n in range(1, self.ngram_order + 1) for i in range(len(words) - n + 1)]

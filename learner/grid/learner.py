@@ -14,13 +14,13 @@ from torch.nn import functional
 
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config, DiscriminatorConfig
-from giirl_core.nets.parameters import load_net, load_optimiser, seal_net, seal_optimiser
+from giirl_core.nets.parameters import load_net, load_optimiser, serialise_net, serialise_optimiser
 from giirl_core.nets.reward import reward_of
 from giirl_core.weights import Weights
-from gridcraft.instructions import Pair, plain_sentence, sentences
+from gridcraft.instructions import ColourPair, plain_sentence, sentences
 from gridcraft.world import HORIZON, World
 from learner.grid.goal_features import BagOfWords
-from learner.grid.nets import GridFeatures, PotentialNet, QNet, RewardNet, one_hot
+from learner.grid.nets import GridFeatures, GridRewardNet, PotentialNet, QNet, one_hot
 from learner.grid.steps import EXPERT_TEMPERATURE, NO_STEPS, GridDemos, Index, Steps, expert_steps, random_steps
 from learner.losses import gradient_penalty, logistic_loss
 from learner.protocols import ACCURACY, EXPERT
@@ -39,7 +39,7 @@ class GridDiscriminator:
         self.config: DiscriminatorConfig = config.discriminator
         self._gamma = config.policy.gamma
         self._features, self._demos, self._random, self._rng = features, demos, random, rng
-        self.net = RewardNet(features.reward_width, config.net.width)
+        self.net = GridRewardNet(features.reward_width, config.net.width)
         self.potential = PotentialNet(features.reward_width, config.net.width)
         self.optimiser = torch.optim.Adam(
             [*self.net.parameters(), *self.potential.parameters()],
@@ -222,7 +222,7 @@ class GridLearner:
     The seed in the config determines every result.
     """
 
-    def __init__(self, config: Config, world: World, pairs: Sequence[Pair]) -> None:
+    def __init__(self, config: Config, world: World, pairs: Sequence[ColourPair]) -> None:
         torch.manual_seed(config.seed)
         self.version = 0  # finished iterations
         self.config, self.pairs, self.rng = config, tuple(pairs), np.random.default_rng([config.seed, 0])
@@ -232,7 +232,7 @@ class GridLearner:
         self.sentences = dict(enumerate(texts))
         self.pair_index: Index = np.repeat(np.arange(len(pairs)), [len(own) for own in by_pair])  # [G] into pairs
         self.goals: Index = np.arange(len(texts))
-        self.bag = BagOfWords(texts, grid.order)
+        self.bag = BagOfWords(texts, grid.ngram_order)
         self.features = GridFeatures(world, texts, self.bag, grid)
         end_state = self.features.end_state if grid.absorbing else None
         goals = [np.flatnonzero(self.pair_index == i).tolist() for i in range(len(pairs))]
@@ -273,9 +273,9 @@ class GridLearner:
     def save(self, folder: Path) -> None:
         """Write the training state into an empty folder, except what the seed reproduces (demonstrations)."""
         for name, net in self._saved_nets().items():
-            (folder / f"{name}.safetensors").write_bytes(seal_net(net, self.version).blob)
+            (folder / f"{name}.safetensors").write_bytes(serialise_net(net, self.version).blob)
         for name, part in self._parts().items():
-            (folder / f"{name}_optimiser.safetensors").write_bytes(seal_optimiser(part.optimiser))
+            (folder / f"{name}_optimiser.safetensors").write_bytes(serialise_optimiser(part.optimiser))
         (folder / "reward_replay.safetensors").write_bytes(self.discriminator.replay.to_bytes())
         (folder / "policy_replay.safetensors").write_bytes(self.policy.replay.to_bytes())
         state = {"version": self.version, "accuracy": self.discriminator.accuracy, "rng": self.rng.bit_generator.state}
@@ -285,7 +285,7 @@ class GridLearner:
         """Restore what `save` wrote. ValueError if the checkpoint belongs to networks of another shape."""
         state: dict[str, Any] = json.loads((folder / "learner.json").read_text())
         for name, net in self._saved_nets().items():
-            load_net(net, Weights.seal(state["version"], (folder / f"{name}.safetensors").read_bytes()))
+            load_net(net, Weights.with_digest(state["version"], (folder / f"{name}.safetensors").read_bytes()))
         for name, part in self._parts().items():
             load_optimiser(part.optimiser, (folder / f"{name}_optimiser.safetensors").read_bytes())
         self.discriminator.replay = Steps.from_bytes((folder / "reward_replay.safetensors").read_bytes())

@@ -66,7 +66,7 @@ class GridFeatures:
         return torch.tensor(np.stack(states)), torch.stack(goals)
 
     def _states(self, world: World) -> NDArray[np.float32]:
-        features = np.pad(observations(world, self._grid.neighbours), ((0, 1), (0, int(self._grid.absorbing))))
+        features = np.pad(observations(world, self._grid.adjacent_cells), ((0, 1), (0, int(self._grid.absorbing))))
         if self._grid.absorbing:
             features[-1, -1] = 1.0  # marks the end state
         return features
@@ -89,7 +89,7 @@ def _maps(world: World) -> NDArray[np.float32]:
     return features
 
 
-class RewardNet(nn.Module):
+class GridRewardNet(nn.Module):
     """The discriminator: MLP(goal, observation) and MLP(action), concatenated -> MLP -> logit log D - log(1 - D)."""
 
     def __init__(self, inputs: int, width: int) -> None:
@@ -143,7 +143,7 @@ def one_hot(action: NDArray[np.int64]) -> Tensor:
 
 
 @torch.no_grad()
-def reward_table(net: RewardNet, features: GridFeatures, goal: int, form: str, clip: float) -> NDArray[np.float64]:
+def reward_table(net: GridRewardNet, features: GridFeatures, goal: int, form: str, clip: float) -> NDArray[np.float64]:
     """[S, A] the reward of every state and action under the sentence `goal`."""
     states = np.arange(features.end_state)
     inputs = features.reward_inputs(states, np.full(features.end_state, goal))

@@ -10,7 +10,7 @@ import safetensors.numpy
 import torch
 from numpy.typing import NDArray
 
-from gridcraft.instructions import Pair
+from gridcraft.instructions import ColourPair
 from gridcraft.planning import Trajectories, random_policy, sample_trajectories, solve
 from gridcraft.world import HORIZON, World, sample_starts, step, true_reward
 from learner.grid.nets import STAY, GridFeatures, QNet
@@ -93,7 +93,7 @@ NO_STEPS = Steps(**{name: np.zeros(0, dtype=np.int64) for name in COLUMNS})
 
 def expert_steps(
     world: World,
-    pairs: Sequence[Pair],
+    pairs: Sequence[ColourPair],
     sentences: Sequence[Sequence[int]],
     count: int,
     temperature: float,

@@ -22,7 +22,7 @@ class ActorState:
     notice: int = 0  # number of the last notice received
     full: bool = False  # the actor's buffer is nearly full, so it asked for a checkpoint
     queued: int = 0  # episodes waiting in the learner's queue
-    idle_share: float = 0.0  # of its tabs, of late
+    idle_share: float = 0.0  # fraction of its tabs that waited for the learner, from its last notice
     peer: bytes | None = None  # ZeroMQ identity; None after a BYE, or when only known from a checkpoint
     last_heard_s: float = 0.0  # monotonic time
 

@@ -172,7 +172,7 @@ class Ingest:
                 reply = self._admission.receive(peer, message)
                 self._lock.notify_all()
             if reply is not None:
-                self._router.send(peer, reply)  # fails if the peer is gone; then nobody needs the reply
+                self._router.send(peer, reply)  # fails if the peer has disconnected; then the reply is not needed
         if (refusals := self._router.refusals) > self._refusals:
             self._metrics.connections_refused.labels("trajectories").inc(refusals - self._refusals)
             self._refusals = refusals

@@ -10,7 +10,7 @@ import pytest
 from actors.agents import ExpertAgent, PolicyAgent, RandomAgent
 from browser_farm.experts import expert
 from browser_farm.fake import FakeFarm
-from giirl_core.nets.parameters import seal_net
+from giirl_core.nets.parameters import serialise_net
 from giirl_core.types import (
     EpisodeSpec,
     Goal,
@@ -58,9 +58,9 @@ def test_a_greedy_policy_does_not_depend_on_the_random_numbers() -> None:
 
 def test_a_policy_agent_rejects_older_weights_and_reports_its_version() -> None:
     agent = PolicyAgent(policy(), vectors())
-    agent.load(seal_net(policy(1), 5))
+    agent.load(serialise_net(policy(1), 5))
     with pytest.raises(ValueError, match="version 4, wanted 5 or later"):
-        agent.load(seal_net(policy(2), 4))
+        agent.load(serialise_net(policy(2), 4))
     observations = list(FakeFarm(tabs=1).reset({0: EpisodeSpec(task="click-test", seed=1)}).values())
     (decision,) = agent.select_actions(observations, np.full((1, 1, 3), 0.5, dtype=np.float32))
     assert decision.version == 5

@@ -13,7 +13,7 @@ from actors.agents import PolicyAgent
 from actors.uplink import Refused
 from actors.worker import OUTAGE_S, Worker, WorkerLimits
 from giirl_core.metrics import Metrics
-from giirl_core.nets.parameters import seal_net
+from giirl_core.nets.parameters import serialise_net
 from giirl_core.types import UNSCORED, Episode, Trajectory
 from giirl_core.weights import Weights
 from tests.giirl_core.wire_examples import episode
@@ -103,7 +103,7 @@ def test_corrupt_and_older_weights_are_rejected_and_counted() -> None:
 
 
 def sealed(version: int) -> Weights:
-    return seal_net(policy(), version)
+    return serialise_net(policy(), version)
 
 
 class FailingScorer(SilentScorer):

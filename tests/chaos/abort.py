@@ -28,7 +28,7 @@ from tests.chaos.raw_peer import GREETING, MESSAGE, OVERSIZED, PING, connect, da
 from tests.chaos.storm import start
 
 PARALLEL = 16  # processes
-MESSAGES = 500  # that a peer sends while nobody reads
+MESSAGES = 500  # that a peer sends while the other side does not read
 LIMIT = 4  # messages
 HEARTBEAT_MS = 30
 HEARTBEATS_S = 0.15  # a few heartbeats

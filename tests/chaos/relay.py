@@ -18,7 +18,7 @@ from giirl_core.wire.messages import PREFIX
 FAULT_PROB = 0.02  # per message
 MAX_DELAY_S = 0.2
 BURST = 200  # messages from actors before the learner's messages are relayed
-IDLE_S = 5.0  # a longer silence means that the actor is gone: heartbeats are far more frequent
+IDLE_S = 5.0  # a longer silence means that the actor has ended: heartbeats are far more frequent
 
 
 def relay(front: int, back: int, seed: int, faults_file: Path) -> None:
@@ -71,7 +71,7 @@ class _Connections:
         return self._sockets[peer]
 
     def poll(self) -> list[bytes]:
-        """The actors for which the learner has sent something. Also closes the connections of actors that are gone."""
+        """The actors for which the learner has sent something. Also closes the connections of ended actors."""
         now_s = time.monotonic()
         for peer in [peer for peer, used_s in self._used_s.items() if now_s - used_s > IDLE_S]:
             self._poller.unregister(self._sockets[peer])

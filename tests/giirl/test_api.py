@@ -61,5 +61,5 @@ def test_a_grid_run_trains_and_evaluates_by_the_same_calls_and_has_no_reward_on_
     assert evaluate(folder.path)["parameters_sha256"] == result["parameters_sha256"]
     assert WORLDS["gridcraft"].table(result).row_count == 1
     for load in (load_reward, load_policy):
-        with pytest.raises(ValueError, match="wanted one with world = 'miniwob'"):
+        with pytest.raises(ValueError, match="which has no pages: wanted a run with world = 'miniwob'"):
             load(folder.path)

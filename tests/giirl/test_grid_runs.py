@@ -24,7 +24,7 @@ from giirl.studies import grid_settings
 from giirl_core.config import Config, GridConfig
 from giirl_core.config_file import load_config
 from giirl_core.nets.parameters import hash_nets
-from gridcraft.instructions import Pair
+from gridcraft.instructions import ColourPair
 from gridcraft.layouts import named_layout
 
 ROOT = Path(__file__).parents[2]
@@ -118,7 +118,7 @@ def test_every_ablation_but_the_first_changes_a_setting(name: str) -> None:
 
 def test_held_out_pairs_are_not_trained_on_and_named_layouts_come_first() -> None:
     grid = GridConfig(held_out=("red-blue",), random_layouts=2)
-    assert Pair("red", "blue") not in pairs_of(grid)
+    assert ColourPair("red", "blue") not in pairs_of(grid)
     assert len(pairs_of(grid)) == 5
     assert [layout.name for layout in layouts_of(grid)] == ["regions", "random-1000", "random-1001"]
 
@@ -145,7 +145,7 @@ def test_an_illegal_grid_is_an_error_of_one_line(grid: GridConfig, message: str,
 def test_a_mean_leaves_out_nan() -> None:
     def one(value: float) -> Measures:
         names = [name for name in Measures.__slots__ if name != "pair"]
-        return Measures(pair=Pair("red", "blue"), **dict.fromkeys(names, 1.0) | {"matched_avoid_rank": value})
+        return Measures(pair=ColourPair("red", "blue"), **dict.fromkeys(names, 1.0) | {"matched_avoid_rank": value})
 
     assert means([one(0.5), one(float("nan"))])["matched_avoid_rank"] == 0.5
     assert np.isnan(means([one(float("nan"))])["matched_avoid_rank"])

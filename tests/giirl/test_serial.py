@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import signal
 from collections.abc import Mapping
@@ -209,3 +210,8 @@ def test_a_checkpoint_of_other_nets_is_an_error_that_names_the_shapes(
     shutil.copy(path / "demonstrations.giirl", tmp_path)
     with pytest.raises(ValueError, match=r"has shape .* wanted"):
         run(tmp_path, "net.width=8", resume=latest_checkpoint(path / "checkpoints"))
+
+
+def test_the_progress_of_the_cloned_start_is_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run(tmp_path / "run", "iterations=1", "policy.bc_warmup_updates=3")
+    assert re.search(r"behavioural cloning 3/3 +loss \d+\.\d{3}", capsys.readouterr().err)

@@ -16,7 +16,7 @@ from actors.episode_counter import read_counts
 from giirl.run.folder import RunFolder
 from giirl.run.workers import WorkersRuntime
 from giirl_core.config_file import dump_config
-from giirl_core.nets.parameters import seal_net
+from giirl_core.nets.parameters import serialise_net
 from giirl_core.nets.reward import build_reward
 from giirl_core.processes import open_files
 from giirl_core.types import Episode
@@ -85,7 +85,10 @@ def test_actors_are_added_and_removed_during_a_run(
 def test_rejoin_returns_from_an_idle_reward_service_and_waits_for_a_serving_one(tmp_path: Path) -> None:
     service = RewardProcess(dump_config(config(tmp_path)), "run", "reward-service-0", None)
     service.addresses()
-    first, second = seal_net(build_reward(config(tmp_path)).net, 1), seal_net(build_reward(config(tmp_path)).net, 0)
+    first, second = (
+        serialise_net(build_reward(config(tmp_path)).net, 1),
+        serialise_net(build_reward(config(tmp_path)).net, 0),
+    )
     service.rejoin(first)  # returns at once: the caller has to call run
     threads = [Thread(target=service.run, args=(first,)), Thread(target=service.rejoin, args=(second,))]
     threads[0].start()

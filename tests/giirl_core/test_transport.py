@@ -132,7 +132,7 @@ def test_only_the_sender_of_a_too_large_message_is_disconnected(monkeypatch: pyt
         assert router.recv(WAIT_S) == (b"a", b"x" * 10_000)
 
 
-def test_a_peer_can_send_without_limit_while_nobody_receives(router: Router) -> None:
+def test_a_peer_can_send_without_limit_while_its_messages_are_not_received(router: Router) -> None:
     with closing(Dealer(router.address, identity=b"a")) as dealer:
         for number in range(20_000):
             assert dealer.send(b"%d" % number, timeout_s=WAIT_S)

@@ -174,7 +174,7 @@ def test_only_the_full_reward_is_a_success() -> None:
 
 
 def test_weights_with_a_wrong_checksum_are_refused() -> None:
-    sealed = Weights.seal(3, b"abc")
+    sealed = Weights.with_digest(3, b"abc")
     sealed.check()
     with pytest.raises(ValueError, match="version 3 are corrupt"):
         replace(sealed, blob=b"abd").check()

@@ -11,7 +11,7 @@ from gymnasium.utils.env_checker import check_env
 
 import gridcraft  # noqa: F401 - registers the environment
 from gridcraft.env import LanguageGridCraft
-from gridcraft.instructions import Pair, ordered_pairs, sentences
+from gridcraft.instructions import ColourPair, ordered_pairs, sentences
 from gridcraft.layouts import random_layout
 from gridcraft.world import HORIZON, true_reward
 
@@ -39,7 +39,7 @@ def test_the_observation_space_contains_every_sentence() -> None:
 
 def test_rewards_and_transitions_follow_the_tables_and_episodes_end_only_at_the_horizon() -> None:
     env = LanguageGridCraft("regions")
-    pair = Pair("blue", "green")
+    pair = ColourPair("blue", "green")
     _, info = env.reset(seed=3, options={"pair": pair})
     assert (info["goal"], info["avoid"]) == ("blue", "green")
     reward, rng = true_reward(env.world, pair), np.random.default_rng(0)
@@ -60,12 +60,12 @@ def test_the_seed_determines_the_instruction_and_the_start_state() -> None:
 
 
 def test_episodes_use_only_the_allowed_pairs() -> None:
-    allowed = (Pair("red", "blue"), Pair("green", "blue"))
+    allowed = (ColourPair("red", "blue"), ColourPair("green", "blue"))
     env = LanguageGridCraft("regions", pairs=allowed)
-    used = {Pair(i["goal"], i["avoid"]) for _, i in (env.reset(seed=s) for s in range(30))}
+    used = {ColourPair(i["goal"], i["avoid"]) for _, i in (env.reset(seed=s) for s in range(30))}
     assert used == set(allowed)
     with pytest.raises(ValueError, match=r"wanted .'pair'"):
-        env.reset(options={"pair": Pair("blue", "red")})
+        env.reset(options={"pair": ColourPair("blue", "red")})
     with pytest.raises(ValueError, match=r"wanted .'pair'"):
         env.reset(options={"layout": "four"})
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gridcraft.instructions import Pair
+from gridcraft.instructions import ColourPair
 from gridcraft.layouts import LAYOUTS, Layout
 from gridcraft.planning import (
     distance_to,
@@ -25,7 +25,7 @@ from gridcraft.planning import (
 from gridcraft.world import World, build_world, sample_starts, transitions, true_reward
 
 ROW = build_world([Layout.parse("row", "..RB")])
-TO_RED = true_reward(ROW, Pair("red", "blue"))
+TO_RED = true_reward(ROW, ColourPair("red", "blue"))
 REGIONS = build_world([LAYOUTS["regions"]])
 
 
@@ -109,7 +109,7 @@ def test_a_low_temperature_gives_the_greedy_solution() -> None:
 
 @pytest.mark.parametrize("scale", [1e-12, 1e6])
 def test_the_greedy_policy_does_not_depend_on_the_scale_of_the_reward(scale: float) -> None:
-    reward = true_reward(REGIONS, Pair("red", "blue"))
+    reward = true_reward(REGIONS, ColourPair("red", "blue"))
     assert (solve(REGIONS, scale * reward).pi == solve(REGIONS, reward).pi).all()
 
 
@@ -149,7 +149,7 @@ def test_occupancy_matches_the_frequencies_of_sampled_episodes() -> None:
 
 
 def test_sampled_demonstrations_obey_transitions_expected_return_and_seed() -> None:
-    reward = true_reward(REGIONS, Pair("red", "blue"))
+    reward = true_reward(REGIONS, ColourPair("red", "blue"))
     expert = solve(REGIONS, reward, temperature=0.1).pi
     starts = sample_starts(REGIONS, 2000, np.random.default_rng(1))
     sampled, again = (sample_trajectories(REGIONS, expert, starts, np.random.default_rng(2)) for _ in range(2))
@@ -169,7 +169,7 @@ def test_actions_with_probability_zero_are_never_sampled() -> None:
 
 
 def test_the_normalized_return_is_1_for_the_optimum_0_for_random_and_linear_in_between() -> None:
-    reward = true_reward(REGIONS, Pair("green", "red"))
+    reward = true_reward(REGIONS, ColourPair("green", "red"))
     best, random = solve_horizon(REGIONS, reward).pi, random_policy(REGIONS)
     assert normalized_return(REGIONS, best, reward) == pytest.approx(1.0)
     assert normalized_return(REGIONS, random, reward) == pytest.approx(0.0)
@@ -179,8 +179,8 @@ def test_the_normalized_return_is_1_for_the_optimum_0_for_random_and_linear_in_b
     assert normalized_return(REGIONS, other, reward) == pytest.approx((got - low) / (high - low))
 
 
-@pytest.mark.parametrize("pair", [Pair("red", "blue"), Pair("blue", "green")], ids=str)
-def test_the_soft_expert_is_almost_optimal_within_the_horizon(pair: Pair) -> None:
+@pytest.mark.parametrize("pair", [ColourPair("red", "blue"), ColourPair("blue", "green")], ids=str)
+def test_the_soft_expert_is_almost_optimal_within_the_horizon(pair: ColourPair) -> None:
     reward = true_reward(REGIONS, pair)
     assert 0.999 < normalized_return(REGIONS, solve(REGIONS, reward, temperature=0.1).pi, reward) < 1.0
 

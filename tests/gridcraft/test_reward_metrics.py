@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from giirl.statistics import goal_sensitivity
-from gridcraft.instructions import Pair
+from gridcraft.instructions import ColourPair
 from gridcraft.layouts import LAYOUTS, Layout, random_layout
 from gridcraft.planning import normalized_return, random_policy, sample_trajectories, solve
 from gridcraft.reward_metrics import (
@@ -34,7 +34,7 @@ from gridcraft.world import World, build_world, true_reward
 Array = NDArray[np.float64]
 
 REGIONS = build_world([LAYOUTS["regions"]])
-RED_NOT_BLUE = Pair("red", "blue")
+RED_NOT_BLUE = ColourPair("red", "blue")
 TRUE = true_reward(REGIONS, RED_NOT_BLUE)
 BEST = solve(REGIONS, TRUE).v
 VALUE = np.repeat(BEST[:, None], 5, axis=1)
@@ -126,7 +126,7 @@ def test_reoptimising_the_true_reward_or_its_value_is_optimal() -> None:
         assert reoptimised_return(REGIONS, reward, TRUE) == pytest.approx(1)
     assert reoptimised_return(REGIONS, VALUE, TRUE) == pytest.approx(1)
     assert reoptimised_return(REGIONS, np.zeros_like(TRUE), TRUE) == pytest.approx(0)
-    assert reoptimised_return(REGIONS, true_reward(REGIONS, Pair("green", "blue")), TRUE) < 0.03
+    assert reoptimised_return(REGIONS, true_reward(REGIONS, ColourPair("green", "blue")), TRUE) < 0.03
     assert reoptimised_return(REGIONS, -TRUE, TRUE) < -0.1
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gridcraft.instructions import Pair
+from gridcraft.instructions import ColourPair
 from gridcraft.layouts import COLOURS, LAYOUTS, WALL, Layout, named_layout, random_layout, regions_reachable
 from gridcraft.world import (
     ACTIONS,
@@ -57,7 +57,7 @@ def test_illegal_layout_names_colours_and_slips_are_errors() -> None:
     with pytest.raises(ValueError, match="wanted one of regions"):
         named_layout("region")
     with pytest.raises(ValueError, match="no blue cell"):
-        true_reward(build_world([Layout.parse("two", "R.G")]), Pair("red", "blue"))
+        true_reward(build_world([Layout.parse("two", "R.G")]), ColourPair("red", "blue"))
     with pytest.raises(ValueError, match="at least one layout"):
         build_world([])
     with pytest.raises(ValueError, match="wanted a probability"):
@@ -127,8 +127,8 @@ def test_the_true_reward_depends_on_the_cell_of_the_agent() -> None:
     world = build_world([SMALL])
     #          R  .  .  .  .  .  B  G
     expected = [1, 0, 0, 0, 0, 0, -1, 0]
-    assert (true_reward(world, Pair("red", "blue")) == np.array(expected)[:, None]).all()
-    assert (true_reward(world, Pair("blue", "red")) == -np.array(expected)[:, None]).all()
+    assert (true_reward(world, ColourPair("red", "blue")) == np.array(expected)[:, None]).all()
+    assert (true_reward(world, ColourPair("blue", "red")) == -np.array(expected)[:, None]).all()
 
 
 @pytest.mark.parametrize("slip", [0.0, 0.3, 1.0])
@@ -168,7 +168,7 @@ def test_an_observation_contains_position_colour_and_adjacent_cells() -> None:
     world = build_world([SMALL])
     found = observations(world)
     assert found.shape == (8, 31)
-    assert observations(world, neighbours=False).shape == (8, 7)
+    assert observations(world, adjacent_cells=False).shape == (8, 7)
     assert list(found[0, :7]) == [-1, -1, 0, 1, 0, 0, 0]  # upper left, on red
     adjacent = found[0, 7:].reshape(4, 6).argmax(axis=1)
     assert list(adjacent) == [5, 0, 5, 0]  # edge, white below, edge, white to the right

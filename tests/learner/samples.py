@@ -129,7 +129,7 @@ def expert_episodes(per_task: int, tasks: Sequence[str] = tuple(TASKS), tabs: in
 
 
 def with_sampled(shown: Trajectory, net: PolicyNet, count: int) -> Trajectory:
-    """The same with so many sampled actions a step, as an actor with this policy samples them."""
+    """The same trajectory with `count` sampled actions at each step, as an actor with this policy samples them."""
     agent = PolicyAgent(deepcopy(net).cpu(), vectors(), sampled_actions=count)
     seen = [
         Observation(episode=EpisodeSpec(task=shown.task, seed=shown.seed), page=page, goal=shown.goal)

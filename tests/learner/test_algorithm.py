@@ -14,17 +14,17 @@ from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config, DiscriminatorConfig, GridConfig, NetConfig, PolicyConfig
 from giirl_core.config_file import load_config
 from giirl_core.metrics import Metrics
-from giirl_core.nets.parameters import hash_nets, load_net, seal_net
+from giirl_core.nets.parameters import hash_nets, load_net, serialise_net
 from giirl_core.types import Trajectory
 from giirl_core.weights import Weights
-from gridcraft.instructions import Pair
+from gridcraft.instructions import ColourPair
 from gridcraft.layouts import named_layout
 from gridcraft.world import build_world
 from learner.algorithms import LOOPS
 from learner.giirl import giirl
 from learner.grid.learner import GridLearner
 from learner.learner import Learner
-from learner.protocols import BaselineLearning, Learning
+from learner.protocols import BaselineParts, LearnerParts
 from tests.learner.samples import expert_episodes, policy, reward_net
 
 SMALL = Config(
@@ -144,10 +144,10 @@ def test_the_error_for_an_algorithm_without_grid_support_names_those_with_it(alg
 
 def test_both_learners_implement_the_protocols_of_the_training_loops(demonstrations: list[Trajectory]) -> None:
     grid = Config(world="gridcraft", grid=GridConfig(random_episodes=1, demonstrations=1))
-    in_grid: Learning = GridLearner(
-        grid, build_world([named_layout("regions")]), [Pair("red", "blue")]
+    in_grid: LearnerParts = GridLearner(
+        grid, build_world([named_layout("regions")]), [ColourPair("red", "blue")]
     )  # checked by mypy
-    on_pages: BaselineLearning = Learner(SMALL, demonstrations, Metrics())
+    on_pages: BaselineParts = Learner(SMALL, demonstrations, Metrics())
     for learner in (in_grid, on_pages):
         assert learner.policy.net is not None
         assert callable(learner.discriminator.rewards)
@@ -156,17 +156,17 @@ def test_both_learners_implement_the_protocols_of_the_training_loops(demonstrati
 def test_loading_sealed_weights_reproduces_the_net() -> None:
     one, two = policy(1), policy(2)
     assert hash_nets(one) != hash_nets(two)
-    load_net(two, seal_net(one, 7))
+    load_net(two, serialise_net(one, 7))
     assert hash_nets(one) == hash_nets(two)
 
 
 @pytest.mark.parametrize("wrong", ["another net", "no safetensors", "corrupt"])
 def test_invalid_weights_are_an_error_and_do_not_change_the_net(wrong: str) -> None:
     net = policy(1)
-    before, sealed = hash_nets(net), seal_net(policy(2), 7)
+    before, sealed = hash_nets(net), serialise_net(policy(2), 7)
     bad = {
-        "another net": seal_net(reward_net(), 7),
-        "no safetensors": Weights.seal(7, b"nonsense"),
+        "another net": serialise_net(reward_net(), 7),
+        "no safetensors": Weights.with_digest(7, b"nonsense"),
         "corrupt": Weights(version=7, blob=sealed.blob[:-1] + b"\x00", digest=sealed.digest),
     }[wrong]
     with pytest.raises(ValueError, match="weights version 7"):
@@ -175,4 +175,4 @@ def test_invalid_weights_are_an_error_and_do_not_change_the_net(wrong: str) -> N
 
 
 def test_the_weights_do_not_contain_the_word_vectors() -> None:
-    assert len(seal_net(policy(), 0).blob) < policy().encoder.table.nbytes
+    assert len(serialise_net(policy(), 0).blob) < policy().encoder.table.nbytes

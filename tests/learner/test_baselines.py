@@ -285,7 +285,7 @@ def test_learning_rates_and_entropy_decay_linearly() -> None:
     config = Config(
         iterations=101,
         net=NetConfig(width=16, vectors="hashed"),
-        policy=PolicyConfig(learning_rate=1.0, final_lr_fraction=0.2, entropy=0.5, final_entropy=0.4),
+        policy=PolicyConfig(learning_rate=1.0, final_lr_fraction=0.2, entropy=0.5, final_entropy_fraction=0.4),
         cloning=CloningConfig(learning_rate=2.0, final_lr_fraction=0.2),
     )
     learner = Learner(config, demonstrations, Metrics())

@@ -14,7 +14,7 @@ import torch
 from giirl.run.grid import learn, pairs_of
 from giirl_core.config import CloningConfig, Config, DiscriminatorConfig, GridConfig, NetConfig, PolicyConfig
 from giirl_core.nets.parameters import hash_nets
-from gridcraft.instructions import Pair
+from gridcraft.instructions import ColourPair
 from gridcraft.layouts import Layout, named_layout
 from gridcraft.planning import normalized_return, random_policy, solve
 from gridcraft.world import ACTIONS, HORIZON, build_world, observations, true_reward
@@ -81,7 +81,7 @@ def plain() -> str:
         with_grid(absorbing=True),
         with_discriminator(lr_schedule="accuracy"),
         with_grid(full_map=True),
-        with_grid(sentences="all", order=1, neighbours=True),
+        with_grid(sentences="all", ngram_order=1, adjacent_cells=True),
         with_discriminator(reward="d"),
         with_discriminator(reward="log_d"),
         with_discriminator(gradient_penalty=0.0, policy_on_expert_states=0.5),
@@ -109,7 +109,7 @@ def test_every_setting_of_the_ablations_changes_the_trained_networks(plain: str,
 
 def test_demonstrations_end_on_the_goal_and_never_enter_the_avoided_colour() -> None:
     rng = np.random.default_rng(0)
-    steps = expert_steps(WORLD, [Pair("red", "blue")], [[4]], 20, 0.05, rng, None)
+    steps = expert_steps(WORLD, [ColourPair("red", "blue")], [[4]], 20, 0.05, rng, None)
     states = steps.state.reshape(20, HORIZON)
     assert (WORLD.colour[states[:, -1]] == 1).all()
     assert not (WORLD.colour[states] == 3).any()
@@ -119,7 +119,7 @@ def test_demonstrations_end_on_the_goal_and_never_enter_the_avoided_colour() -> 
 
 def test_an_absorbing_episode_ends_in_the_end_state() -> None:
     end_state = len(WORLD)
-    steps = expert_steps(WORLD, [Pair("red", "blue")], [[0]], 3, 0.1, np.random.default_rng(0), end_state)
+    steps = expert_steps(WORLD, [ColourPair("red", "blue")], [[0]], 3, 0.1, np.random.default_rng(0), end_state)
     states, following = (x.reshape(3, HORIZON + 1) for x in (steps.state, steps.following))
     assert (following[:, -2:] == end_state).all()
     assert (states[:, -1] == end_state).all()
@@ -139,7 +139,7 @@ def test_wrong_goals_keep_the_step_and_avoid_states_that_their_expert_visits() -
 
 
 def test_a_single_pair_of_colours_has_no_wrong_goals() -> None:
-    steps = expert_steps(WORLD, [Pair("red", "blue")], [[0]], 2, 0.1, np.random.default_rng(0), None)
+    steps = expert_steps(WORLD, [ColourPair("red", "blue")], [[0]], 2, 0.1, np.random.default_rng(0), None)
     demos = GridDemos(steps, HORIZON, np.array([0]), np.array([0]), np.random.default_rng(0))
     assert len(demos.wrong_goals(steps)) == 0
 
@@ -162,7 +162,7 @@ def test_a_fresh_soft_q_learner_learns_from_a_frozen_reward() -> None:
     config = dataclasses.replace(
         SMALL, policy=dataclasses.replace(SMALL.policy, updates=400), grid=GridConfig(goals=("red-blue",))
     )
-    world, pair = WORLD, Pair("red", "blue")
+    world, pair = WORLD, ColourPair("red", "blue")
     learner = GridLearner(config, world, [pair])
     true = true_reward(world, pair)
     frozen = torch.tensor(solve(world, true, temperature=0.0).q * 0.1, dtype=torch.float32)  # already shaped
@@ -216,13 +216,13 @@ def test_the_airl_reward_leaves_out_the_shaping_terms() -> None:
 def test_goal_features_depend_on_word_order_only_with_bigrams() -> None:
     texts = ["Go to Red. Avoid Blue.", "Go to Blue. Avoid Red."]
     for order, equal in ((1, True), (2, False)):
-        learner = GridLearner(with_grid(order=order), WORLD, PAIRS)
+        learner = GridLearner(with_grid(ngram_order=order), WORLD, PAIRS)
         goals = GridFeatures(WORLD, texts, learner.bag, learner.config.grid).goals
         assert torch.equal(goals[0], goals[1]) == equal
 
 
 def test_permuted_colours_give_the_layout_and_the_sentences_with_swapped_colours() -> None:
-    config = with_grid(neighbours=True)
+    config = with_grid(adjacent_cells=True)
     features = GridLearner(config, WORLD, PAIRS).features
     states, goals = features.colour_permutations
     assert torch.equal(states[0], features.states)
@@ -233,7 +233,7 @@ def test_permuted_colours_give_the_layout_and_the_sentences_with_swapped_colours
     other = build_world([Layout(name="swapped", cells=np.array([0, 2, 1, 3], dtype=np.int8)[cells])])
     assert torch.equal(states[swap][:-1], torch.tensor(observations(other)))
     swapped = [
-        PAIRS.index(Pair(*("red" if c == "green" else "green" if c == "red" else c for c in pair)))
+        PAIRS.index(ColourPair(*("red" if c == "green" else "green" if c == "red" else c for c in pair)))
         for pair in ((p.goal, p.avoid) for p in PAIRS)
     ]
     assert torch.equal(goals[swap], features.goals[swapped])

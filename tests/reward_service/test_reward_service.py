@@ -31,7 +31,7 @@ def test_before_the_first_weights_a_request_is_repeated_until_there_are_some() -
             client.submit("k", trajectory())
             before = counted(metrics, "no_weights")
             until(lambda: not client.poll() and counted(metrics, "no_weights") > before)
-            service.set_weights(Weights.seal(1, b"3"))
+            service.set_weights(Weights.with_digest(1, b"3"))
             ((_, rewards, version),) = poll_results(client)
             assert rewards is not None
             assert (rewards.tolist(), version) == ([3.0, 3.0], 1)
@@ -41,17 +41,17 @@ def test_older_corrupt_and_unfit_weights_are_rejected_and_change_nothing() -> No
     metrics = Metrics()
     service = RewardService(load, metrics=metrics)
     with serving(service):
-        service.set_weights(Weights.seal(5, b"5"))
-        corrupt = Weights(version=7, blob=b"8", digest=Weights.seal(7, b"7").digest)
+        service.set_weights(Weights.with_digest(5, b"5"))
+        corrupt = Weights(version=7, blob=b"8", digest=Weights.with_digest(7, b"7").digest)
         for weights, message in (
-            (Weights.seal(4, b"4"), "version 4, wanted one after 5"),
-            (Weights.seal(5, b"6"), "version 5, wanted one after 5"),
+            (Weights.with_digest(4, b"4"), "version 4, wanted one after 5"),
+            (Weights.with_digest(5, b"6"), "version 5, wanted one after 5"),
             (corrupt, "corrupt"),
-            (Weights.seal(8, b"eight"), "no number"),
+            (Weights.with_digest(8, b"eight"), "no number"),
         ):
             with pytest.raises(ValueError, match=message):
                 service.set_weights(weights)
-        service.set_weights(Weights.seal(5, b"5"))  # the current weights are accepted again
+        service.set_weights(Weights.with_digest(5, b"5"))  # the current weights are accepted again
         assert service.version == 5
         assert metrics.registry.get_sample_value("giirl_weights_refused_total", {"network": "reward"}) == 4
         with closing(ScoreClient([service.address], identity="a")) as client:
@@ -62,24 +62,24 @@ def test_older_corrupt_and_unfit_weights_are_rejected_and_change_nothing() -> No
 def test_first_weights_are_ignored_if_other_weights_came_earlier(earlier: int) -> None:
     metrics = Metrics()
     with serving(RewardService(load, metrics=metrics)) as service:
-        service.set_weights(Weights.seal(earlier, b"7"))
-        service.set_first_weights(Weights.seal(5, b"5"))
+        service.set_weights(Weights.with_digest(earlier, b"7"))
+        service.set_first_weights(Weights.with_digest(5, b"5"))
         assert service.version == earlier
         assert not metrics.registry.get_sample_value("giirl_weights_refused_total", {"network": "reward"})
     with serving(RewardService(load)) as service:
-        service.set_first_weights(Weights.seal(5, b"5"))
+        service.set_first_weights(Weights.with_digest(5, b"5"))
         assert service.version == 5
 
 
 def test_new_weights_never_mix_two_versions_in_one_reply() -> None:
     with serving(RewardService(load)) as service:
-        service.set_weights(Weights.seal(0, b"0"))
+        service.set_weights(Weights.with_digest(0, b"0"))
         stop = threading.Event()
 
         def publish() -> None:
             version = 1
             while not stop.is_set():
-                service.set_weights(Weights.seal(version, b"%d" % version))
+                service.set_weights(Weights.with_digest(version, b"%d" % version))
                 version += 1
 
         publisher = threading.Thread(target=publish)
@@ -101,7 +101,7 @@ def test_new_weights_never_mix_two_versions_in_one_reply() -> None:
 def test_requests_beyond_the_queue_limit_get_the_reply_overloaded() -> None:
     metrics = Metrics()
     service = RewardService(load, metrics=metrics, limits=ServiceLimits(max_queue=2, max_batch_steps=1))
-    service.set_weights(Weights.seal(0, b"1"))
+    service.set_weights(Weights.with_digest(0, b"1"))
     stop = threading.Event()
     with closing(Dealer(service.address, identity=b"flood")) as dealer:
         for number in range(8):
@@ -126,7 +126,7 @@ def test_malformed_requests_are_counted_and_the_service_keeps_running() -> None:
     good = scoring.encode_request(1, [trajectory()])
     header, arrays = wire.decode(good)
     with serving(RewardService(load, metrics=metrics)) as service:
-        service.set_weights(Weights.seal(0, b"2"))
+        service.set_weights(Weights.with_digest(0, b"2"))
         with closing(Dealer(service.address, identity=b"vandal")) as vandal:
             for message in (b"", b"junk", good[:-1], good + b"x", wire.encode({"kind": "x"})):
                 assert vandal.send(message, timeout_s=WAIT_S)
@@ -155,7 +155,7 @@ def test_a_trajectory_that_cannot_be_scored_does_not_fail_the_other_requests_of_
         return score
 
     service = RewardService(load_picky, limits=ServiceLimits(linger_s=0.2))
-    service.set_weights(Weights.seal(0, b""))
+    service.set_weights(Weights.with_digest(0, b""))
     with serving(service), closing(ScoreClient([service.address], identity="a")) as client:
         for steps in (1, 3, 2):
             client.submit(steps, trajectory(steps))
@@ -168,7 +168,7 @@ def test_a_trajectory_that_cannot_be_scored_does_not_fail_the_other_requests_of_
 @pytest.mark.parametrize("wrong", [[], [np.zeros(1, np.float32)], [np.array([1, np.nan], np.float32)]], ids=repr)
 def test_rewards_of_wrong_length_or_value_are_an_error_for_the_client(wrong: list[Rewards]) -> None:
     with serving(RewardService(lambda _: lambda _: wrong)) as service:
-        service.set_weights(Weights.seal(0, b""))
+        service.set_weights(Weights.with_digest(0, b""))
         client = ScoreClient([service.address], identity="a")
         with closing(client), pytest.raises(TimeoutError, match="scoring failed: the scorer returned"):
             client.score([trajectory(2)])

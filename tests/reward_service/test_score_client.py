@@ -32,7 +32,7 @@ from tests.reward_service.serving import (
 
 def test_rewards_come_with_the_version_of_the_reward() -> None:
     with serving(RewardService(load)) as service:
-        service.set_weights(Weights.seal(4, b"7"))
+        service.set_weights(Weights.with_digest(4, b"7"))
         with closing(ScoreClient([service.address], identity="a")) as client:
             rewards, version = client.score([trajectory(2), trajectory(5)])
             assert [part.tolist() for part in rewards] == [[7.0] * 2, [7.0] * 5]
@@ -41,7 +41,7 @@ def test_rewards_come_with_the_version_of_the_reward() -> None:
 
 def test_each_submitted_request_gets_its_result_under_its_own_key() -> None:
     with serving(RewardService(load)) as service:
-        service.set_weights(Weights.seal(0, b"1"))
+        service.set_weights(Weights.with_digest(0, b"1"))
         with closing(ScoreClient([service.address], identity="a")) as client:
             for steps in range(1, 20):
                 client.submit(("episode", steps), trajectory(steps))
@@ -61,7 +61,7 @@ def test_the_scorer_gets_the_submitted_trajectory() -> None:
         return score
 
     with serving(RewardService(load_spy)) as service:
-        service.set_weights(Weights.seal(0, b""))
+        service.set_weights(Weights.with_digest(0, b""))
         with closing(ScoreClient([service.address], identity="a")) as client:
             client.score([trajectory(3)])
     assert_same_trajectory(scored[0], trajectory(3))
@@ -70,7 +70,7 @@ def test_the_scorer_gets_the_submitted_trajectory() -> None:
 def test_a_request_to_an_overloaded_service_is_sent_again() -> None:
     limits = ServiceLimits(max_queue=1, max_batch_steps=1)
     with serving(RewardService(load, limits=limits)) as service:
-        service.set_weights(Weights.seal(0, b"1"))
+        service.set_weights(Weights.with_digest(0, b"1"))
         with closing(ScoreClient([service.address], identity="a", timeout_s=WAIT_S)) as client:
             for key in range(20):
                 client.submit(key, trajectory(1))
@@ -83,12 +83,12 @@ def test_a_service_restarted_on_the_same_port_replies_to_pending_requests() -> N
     port = int(first.address.rpartition(":")[2])
     with closing(ScoreClient([first.address], identity="a", timeout_s=0.3, retries=60)) as client:
         with serving(first):
-            first.set_weights(Weights.seal(0, b"1"))
+            first.set_weights(Weights.with_digest(0, b"1"))
             assert client.score([trajectory(1)])[1] == 0
         client.submit("k", trajectory(1))
         assert client.poll() == []
         second = RewardService(load, port=port)
-        second.set_weights(Weights.seal(1, b"2"))
+        second.set_weights(Weights.with_digest(1, b"2"))
         with serving(second):
             ((key, rewards, version),) = poll_results(client)
     assert (key, version) == ("k", 1)
@@ -164,7 +164,7 @@ def test_the_less_loaded_of_two_replicas_gets_more_requests() -> None:
 
 def test_requests_of_a_dead_replica_go_to_another() -> None:
     with closing(Router()) as dead, serving(RewardService(load)) as alive:
-        alive.set_weights(Weights.seal(3, b"4"))
+        alive.set_weights(Weights.with_digest(3, b"4"))
         client = ScoreClient([dead.address, alive.address], identity="a", timeout_s=0.3, retries=20)
         with closing(client):
             for key in range(10):
@@ -175,7 +175,7 @@ def test_requests_of_a_dead_replica_go_to_another() -> None:
 
 def test_pending_requests_go_to_the_new_replicas_after_a_change_of_addresses() -> None:
     with closing(Router()) as gone, serving(RewardService(load)) as new:
-        new.set_weights(Weights.seal(3, b"4"))
+        new.set_weights(Weights.with_digest(3, b"4"))
         with closing(ScoreClient([], identity="a", timeout_s=WAIT_S)) as client:
             client.submit("early", trajectory(1))  # pending, because there are no replicas yet
             assert client.poll() == []
@@ -188,7 +188,7 @@ def test_pending_requests_go_to_the_new_replicas_after_a_change_of_addresses() -
 
 def test_an_overloaded_replica_gets_no_requests_while_another_one_replies() -> None:
     with closing(Router()) as busy, serving(RewardService(load)) as free:
-        free.set_weights(Weights.seal(3, b"4"))
+        free.set_weights(Weights.with_digest(3, b"4"))
         with closing(ScoreClient([busy.address], identity="a", timeout_s=WAIT_S)) as client:
             client.submit("k", trajectory(1))
             peer, number = receive_request(client, busy)

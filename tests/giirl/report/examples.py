@@ -41,10 +41,10 @@ def scored(*rewards: float, goal: Goal = GOAL, chosen: int = 0) -> ScoredPage:
     return ScoredPage(goal=goal, policy_action=Action(verb=Verb.CLICK, element=chosen), best=best)
 
 
-def strip(on: Page = TWO, *, task: str = "click-button", picture: bytes | None = None) -> EpisodeView:
+def strip(on: Page = TWO, *, task: str = "click-button", screenshot: bytes | None = None) -> EpisodeView:
     """An episode of one step, under two instructions."""
     other = scored(-4.0, 4.5, goal=Goal('Click on the "Cancel" button.'), chosen=1)
-    frame = Frame(page=on, picture=picture, own=scored(4.8, -3.2), other=other)
+    frame = Frame(page=on, screenshot=screenshot, own=scored(4.8, -3.2), other=other)
     return EpisodeView(task=task, seed=77, frames=(frame,), outcome=Outcome(raw_reward=1.0, ended=True))
 
 
@@ -54,5 +54,5 @@ def hostile_strip() -> EpisodeView:
     hostile = page(("input_text", "", (10, 60, 40, 20)), ("button", HOSTILE, (10, 90, 120, 20)))
     typing = Action(verb=Verb.TYPE, element=0, start=0, end=len(bad.tokens) - 1)
     own = replace(scored(1.0, 2.0, goal=bad), policy_action=typing)
-    frame = Frame(page=hostile, picture=None, own=own, other=scored(-1.0, -2.0, goal=bad, chosen=1))
+    frame = Frame(page=hostile, screenshot=None, own=own, other=scored(-1.0, -2.0, goal=bad, chosen=1))
     return EpisodeView(task="click-button", seed=1, frames=(frame,), outcome=None, error=HOSTILE)

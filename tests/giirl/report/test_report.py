@@ -68,6 +68,8 @@ def test_the_report_of_a_finished_run_has_all_sections(finished: Path) -> None:
     page = reported(finished)
     for words in ("Result", "Success rate during training", "Discriminator accuracy by source, %", "Episodes"):
         assert words in page.text
+    for words in ("Throughput", "Share of time waiting, %"):
+        assert words in page.text
     for setting in ("browser=fake", "net.width=16", "demos.per_task=4"):
         assert setting in page.texts
     assert page.text.count("Own instruction") >= 8

@@ -74,7 +74,7 @@ def test_an_unknown_name_of_word_vectors_is_refused() -> None:
 
 def test_a_bag_of_word_pairs_distinguishes_sentences_that_a_plain_bag_does_not() -> None:
     one, other = "Go to red. Avoid blue.", "Go to blue. Avoid red."
-    plain, ordered = BagOfWords([one, other]), BagOfWords([one, other], order=2)
+    plain, ordered = BagOfWords([one, other]), BagOfWords([one, other], ngram_order=2)
     assert np.array_equal(plain(one), plain(other))
     assert not np.array_equal(ordered(one), ordered(other))
 
