@@ -251,7 +251,7 @@ def _panel(panel: Panel) -> timeseries.Panel:
         .span(WIDTH)
         .height(HEIGHT)
         .axis_soft_min(0)
-        .show_points(common_model.VisibilityMode.NEVER)
+        .show_points(common_model.VisibilityMode("never"))
         .legend(
             common.VizLegendOptions()
             .show_legend(True)
