@@ -16,7 +16,6 @@ from giirl_core.config_sections import (
     DemosConfig,
     DiscriminatorConfig,
     EvaluateConfig,
-    GridConfig,
     LearnerConfig,
     MetricsConfig,
     NetConfig,
@@ -49,6 +48,45 @@ __all__ = [
 
 MAX_OPEN_PAGES = 64  # unless the settings say more: a page takes about 18 MB
 DEFAULT_TASKS = ("click-test", "click-test-2", "click-button", "enter-text")
+
+
+@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
+class GridConfig:
+    """LanguageGridCraft. Read only with `world=gridcraft`.
+
+    The settings of `discriminator`, `policy` and `cloning` hold there too.
+    """
+
+    layouts: tuple[str, ...] = ("regions",)
+    """Names of layouts to play in."""
+    random_layouts: Annotated[int, Field(ge=0)] = 0
+    """Number of random layouts in addition. [layouts]"""
+    layout_seed: Annotated[int, Field(ge=0)] = 1000
+    """Seed of the first random layout; the others have the seeds after it."""
+    colours: Annotated[tuple[str, ...], Field(min_length=2)] = ("red", "green", "blue")
+    """Colours of the regions in random layouts and of the goals."""
+    goals: tuple[str, ...] = ()
+    """Goals to train on, "red-blue" for "Go to Red. Avoid Blue.". Empty takes all ordered pairs of the colours."""
+    held_out: tuple[str, ...] = ()
+    """Goals among them that training never sees."""
+    sentences: Literal["plain", "all"] = "plain"
+    """One sentence for each goal, or all synonyms and word orders."""
+    ngram_order: Literal[1, 2] = 2
+    """Longest n-grams counted in the instruction: single words (1), or also pairs of neighbouring words (2). [words]"""
+    adjacent_cells: bool = False
+    """Nets also see the four cells around the agent."""
+    full_map: bool = False
+    """The policy also sees the whole map. The reward never does."""
+    demonstrations: Positive = 10
+    """Demonstrations for each layout and goal. [episodes]"""
+    random_episodes: Positive = 100
+    """Episodes of the random policy, played before learning and kept for good. [episodes]"""
+    batch: Positive = 256
+    """Steps in one update of the soft Q-function. [steps]"""
+    absorbing: bool = False
+    """Add an absorbing state at the end of each episode, which the reward also scores."""
+    measure_every: Positive = 5
+    """Iterations between two exact measurements of the policy. [iterations]"""
 
 
 def _known_algorithm(name: str) -> str:

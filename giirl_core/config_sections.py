@@ -81,6 +81,18 @@ class ActorConfig:
     """Deadline of one request to a reward service. After a second try the learner computes the rewards. [s]"""
     heartbeat_timeout_s: Seconds = 60.0
     """An actor that sends nothing for this long is replaced. [s]"""
+    cpus: Weight = 1.0
+    """Cores that an actor asks for on a cluster; `local` asks for nothing. [cores]"""
+    memory_mb: Weight = 1000.0
+    """Memory that an actor asks for on a cluster. 0 asks for none. [MB]"""
+    chrome: Weight = 0.0
+    """Units of the resource `chrome` that an actor asks for. A node of a cluster offers some with
+    `ray start --resources='{"chrome": 8}'`; where no node does, leave it at 0. [units]"""
+    place_timeout_s: Seconds = 24 * 3600.0
+    """An actor or reward service for which no node of a cluster has room for this long is given up. [s]"""
+    orphan_timeout_s: Annotated[float, Field(ge=10)] = 300.0
+    """An actor or reward service that hears nothing of a learner for this long ends itself. A run that is resumed
+    before goes on with it. [s]"""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -88,7 +100,12 @@ class ScoringConfig:
     """The reward service, which computes rewards for the actors."""
 
     replicas: Annotated[int, Field(ge=1, le=64)] = 1
-    """Number of reward services. An actor asks the least loaded one. [processes]"""
+    """Number of reward services. An actor asks the least loaded one. On a cluster they are on different nodes where
+    there are enough. [processes]"""
+    cpus: Weight = 0.0
+    """Cores that a reward service asks for on a cluster. [cores]"""
+    memory_mb: Weight = 0.0
+    """Memory that a reward service asks for on a cluster. 0 asks for none. [MB]"""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -258,42 +275,3 @@ class MetricsConfig:
     """Port of the learner; 0 takes any free one."""
     worker_port: Port = 0
     """Actors and reward services take the first free port from here on; 0 takes any free one."""
-
-
-@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
-class GridConfig:
-    """LanguageGridCraft. Read only with `world=gridcraft`.
-
-    The settings of `discriminator`, `policy` and `cloning` hold there too.
-    """
-
-    layouts: tuple[str, ...] = ("regions",)
-    """Names of layouts to play in."""
-    random_layouts: Annotated[int, Field(ge=0)] = 0
-    """Number of random layouts in addition. [layouts]"""
-    layout_seed: Annotated[int, Field(ge=0)] = 1000
-    """Seed of the first random layout; the others have the seeds after it."""
-    colours: Annotated[tuple[str, ...], Field(min_length=2)] = ("red", "green", "blue")
-    """Colours of the regions in random layouts and of the goals."""
-    goals: tuple[str, ...] = ()
-    """Goals to train on, "red-blue" for "Go to Red. Avoid Blue.". Empty takes all ordered pairs of the colours."""
-    held_out: tuple[str, ...] = ()
-    """Goals among them that training never sees."""
-    sentences: Literal["plain", "all"] = "plain"
-    """One sentence for each goal, or all synonyms and word orders."""
-    ngram_order: Literal[1, 2] = 2
-    """Longest n-grams counted in the instruction: single words (1), or also pairs of neighbouring words (2). [words]"""
-    adjacent_cells: bool = False
-    """Nets also see the four cells around the agent."""
-    full_map: bool = False
-    """The policy also sees the whole map. The reward never does."""
-    demonstrations: Positive = 10
-    """Demonstrations for each layout and goal. [episodes]"""
-    random_episodes: Positive = 100
-    """Episodes of the random policy, played before learning and kept for good. [episodes]"""
-    batch: Positive = 256
-    """Steps in one update of the soft Q-function. [steps]"""
-    absorbing: bool = False
-    """Add an absorbing state at the end of each episode, which the reward also scores."""
-    measure_every: Positive = 5
-    """Iterations between two exact measurements of the policy. [iterations]"""

@@ -9,7 +9,7 @@ from concurrent.futures import Future, TimeoutError
 from threading import Thread
 from typing import Any
 
-from giirl_core.processes.supervision import ProcessDied
+from giirl_core.processes.supervision import Place, ProcessDied
 
 
 class ThreadCall:
@@ -38,25 +38,25 @@ class ThreadCall:
 class ThreadProcess:
     reattached = False
 
-    def __init__(self, kind: type[Any], values: tuple[Any, ...]) -> None:
-        self._kind, self._values = kind, values
-        self._object: Any = kind(*values)
+    def __init__(self, worker: Any) -> None:
+        self._worker = worker
+
+    def placed(self) -> bool:
+        return True
 
     def call(self, method: str, *values: Any) -> ThreadCall:
-        return ThreadCall(getattr(self._object, method), values)
+        return ThreadCall(getattr(self._worker, method), values)
 
-    def kill(self, *, restart: bool) -> None:
+    def kill(self) -> None:
         """A thread cannot be killed: it goes on, and another one takes its place."""
-        if restart:
-            self._object = self._kind(*self._values)
 
 
 class ThreadPlatform:
     host = node = "127.0.0.1"
     single_node = True
 
-    def start(self, kind: type[Any], name: str, *values: Any, cpus: int, threads: int = 0) -> ThreadProcess:
-        return ThreadProcess(kind, values)
+    def start(self, kind: type[Any], name: str, *values: Any, place: Place, threads: int = 0) -> ThreadProcess:
+        return ThreadProcess(kind(*values))
 
     def share(self, value: Any) -> Any:
         return value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sys
@@ -42,7 +43,6 @@ EXTRAS = {  # optional package, by import name: the extra that installs it
     "torch": "train",
     "zmq": "train",
 }
-RESUMABLE = ("iterations", "checkpoint_every", "keep_checkpoints", "evaluate.", "metrics.")
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -71,6 +71,7 @@ def doctor(demos: Path | None) -> None:
 @OVERRIDES
 @click.option("--runtime", type=click.Choice(["serial", "local", "ray"]), help="Where actors run.  [default: local]")
 @click.option("--resume", type=click.Path(path_type=Path), help="Resume this run from its last checkpoint.")
+@click.option("--resume-or-start", is_flag=True, help="Resume the run in run=FOLDER, or start it: for jobs that retry.")
 @JSON
 @click.pass_context
 def train(
@@ -79,6 +80,7 @@ def train(
     overrides: tuple[str, ...],
     runtime: str | None,
     resume: Path | None,
+    resume_or_start: bool,
     json_file: Path | None,
 ) -> None:
     """Train, then evaluate: giirl train [CONFIG] [key=value ...].
@@ -86,13 +88,26 @@ def train(
     CONFIG is a TOML file; without it every setting has its default. Any setting can be given as key=value, for example
     seed=1 tasks='["click-button"]' policy.entropy=0.2 run=runs/mine.
     """
+    from giirl.operate import retry
     from giirl.run.api import train
     from giirl.signals import Stopped
     from learner.checkpoint import latest_checkpoint
 
     display = Display()
     path, changes = _split(config, overrides, runtime)
-    if resume is not None:
+    if resume_or_start:
+        if resume is not None:
+            raise ValueError("--resume and --resume-or-start exclude each other: give one of them")
+        settings = load_config(path, changes)
+        world_of(settings).check(settings)
+        folder = context.with_resource(retry.claimed(settings))
+        checkpoint = retry.resume_or_start(folder, settings)
+        if retry.is_finished(folder, settings, checkpoint):
+            display.say(f"{folder.path} is finished; its result:")
+            display.table(world_of(settings).table(json.loads(folder.result.read_text())))
+            return
+        display.say(f"resuming {folder.path} from {checkpoint.name}" if checkpoint else f"run folder {folder.path}")
+    elif resume is not None:
         folder, settings = RunFolder.open(resume)
         context.with_resource(folder_lock(folder.path))
         settings = _resumed_config(folder, settings, path, changes)
@@ -141,6 +156,8 @@ for study in commands():
 
 def _resumed_config(folder: RunFolder, config: Config, path: Path | None, changes: list[str]) -> Config:
     """The config of a run to resume. Only its length and its evaluation may change; the change is then saved."""
+    from giirl.operate.retry import RESUMABLE
+
     fixed = [key for key in (change.partition("=")[0] for change in changes) if not key.startswith(RESUMABLE)]
     if path is not None or fixed:
         what = f"CONFIG {path}" if path is not None else fixed[0]

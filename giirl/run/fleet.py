@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import logging
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from itertools import product
-from pathlib import Path
 from typing import Any
 
-from actors.episode_counter import read_counts
+from actors.episode_counter import counter_file, read_counts
 from actors.process import ActorProcess
 from giirl.run.folder import RunFolder
 from giirl_core.algorithms import ALGORITHMS
@@ -19,7 +17,8 @@ from giirl_core.config import Config
 from giirl_core.config_file import dump_config
 from giirl_core.metrics import Metrics
 from giirl_core.processes.open_files import raise_open_files
-from giirl_core.processes.supervision import START_TIMEOUT_S, Call, Platform, Process, SupervisedProcess
+from giirl_core.processes.supervision import START_TIMEOUT_S, Call, Place, Platform, Process, SupervisedProcess
+from giirl_core.processes.waiting import WaitingNotice
 from giirl_core.telemetry.series import WORKER_STATES, WORKERS
 from giirl_core.wire.transport import Keys
 from learner.stream.ingest import Ingest
@@ -28,6 +27,8 @@ from reward_service.process import RewardProcess
 LOG = logging.getLogger(__name__)
 POLL_S = 0.5  # between two checks of the processes
 STOP_TIMEOUT_S = 10.0  # for actors to send their finished episodes, and processes to end
+PING_S = 10.0  # between two signs of life to processes that hear nothing else
+FORGET_TIMEOUT_S = 2.0  # for the actors to delete their temporary files
 LEAVE_TIMEOUT_S = 60.0  # for a surplus actor to wait until a checkpoint covers all its episodes
 
 
@@ -61,13 +62,22 @@ class Fleet:
         self._actors: list[SupervisedProcess] = []
         self._surplus: list[tuple[SupervisedProcess, float]] = []  # actors that leave, with their deadlines
         self._refused = 0  # actors that `giirl actors` asked for in vain
+        self._places = places(config)
+        # On a cluster each actor counts its episodes in a temporary folder on its node.
+        self._counts = (folder.path / "actors").absolute() if platform.single_node else None
         self._scorers: list[str] = []
-        self._polled_s = float("-inf")
+        self._polled_s = self._pinged_s = float("-inf")
+        self._notice = WaitingNotice(lambda kind: str(self._places[kind]), platform.resources)
 
     @property
     def starting(self) -> bool:
         """Whether a process is still starting."""
         return any(member.running is None and not member.quarantined for member in self._members)
+
+    @property
+    def waits_for_place(self) -> bool:
+        """True while nobody can play, because no node has room for an actor."""
+        return bool(self._actors) and all(actor.state in ("waiting", "given_up") for actor in self._actors)
 
     def load(self, policy: Any, reward: Any) -> None:
         """Send new weights to all processes. The first call starts the reward services, and `poll` then the actors."""
@@ -98,6 +108,9 @@ class Fleet:
                 service.replace(service.load_pending_s, heartbeat_received=True)
         self._resize()
         self._check_health()
+        self._count_workers()
+        self._notice.update(self._members)
+        self._ping()
 
     def retire_unknown(self, actors: Sequence[str]) -> None:
         """Count out those actors of an earlier session that this one does not start again."""
@@ -112,7 +125,7 @@ class Fleet:
     def describe_trouble(self) -> str:
         """Which processes do not work, and why; "" when all work."""
         idle = [f"{m.name}: {m.last_error}" for m in self._members if m.running is None or not m.heartbeat_received]
-        return f"; {'; '.join(idle[:4])}; there are {self._platform.resources()}" if idle else ""
+        return f"; {'; '.join(idle[:4])}; free: {self._platform.resources()}" if idle else ""
 
     def drain(self) -> None:
         """Let the actors send their finished episodes and end."""
@@ -131,7 +144,15 @@ class Fleet:
             service.notify("stop")
         _wait_until_ended(self._services)
         for member in self._members:
-            member.process.kill(restart=False)
+            member.process.kill()
+
+    def forget(self) -> None:
+        """A checkpoint covers all episodes of the actors, which have ended: delete their counts on their nodes."""
+        ended = [actor for actor in self._actors if actor.running is not None and actor.running.done()]
+        calls = [actor.process.call("forget") for actor in ended]
+        deadline_s = time.monotonic() + FORGET_TIMEOUT_S
+        while not all(call.done() for call in calls) and time.monotonic() < deadline_s:
+            time.sleep(0.05)
 
     @property
     def _members(self) -> list[SupervisedProcess]:
@@ -140,37 +161,37 @@ class Fleet:
     def _start_service(self, index: int) -> SupervisedProcess:
         name = f"reward-service-{index}"
         values = (dump_config(self._config), self._folder.identity, name, self._keys)
-        process = self._platform.start(RewardProcess, name, *values, cpus=0)
 
-        def start_run(process: Process, restarts: int) -> Call:
-            return process.call(_method(process, restarts), self._reward)
+        def start() -> Process:
+            return self._platform.start(RewardProcess, name, *values, place=self._places["reward-service"])
 
-        return SupervisedProcess(name, process, start_run, self._metrics)
+        def start_run(process: Process) -> Call:
+            return process.call(_method(process), self._reward)
+
+        return SupervisedProcess(
+            name, start, start_run, self._metrics, place_timeout_s=self._config.actors.place_timeout_s
+        )
 
     def _start_actor(self, index: int) -> SupervisedProcess:
         name = f"actor-{index}"
-        values = (dump_config(self._config), self._folder.identity, index, str(self._counter_file(name)), self._keys)
-        process = self._platform.start(ActorProcess, name, *values, cpus=1)
+        values = (dump_config(self._config), self._folder.identity, index, self._counts, self._keys)
 
-        def start_run(process: Process, restarts: int) -> Call:
+        def start() -> Process:
+            return self._platform.start(ActorProcess, name, *values, place=self._places["actor"])
+
+        def start_run(process: Process) -> Call:
             self._incarnation += 1
             first, scorers = self._episodes_taken(), tuple(self._scorers)
-            method = _method(process, restarts)
+            method = _method(process)
             return process.call(method, self._incarnation, first, self._ingest.address, scorers, self._policy)
 
-        return SupervisedProcess(name, process, start_run, self._metrics)
-
-    def _counter_file(self, actor: str) -> Path:
-        """Where an actor counts its episodes: in the run's folder, or in a temporary one on its node of a cluster."""
-        if self._platform.single_node:
-            folder = self._folder.path / "actors"
-        else:
-            folder = Path(tempfile.gettempdir()) / "giirl" / self._folder.identity
-        return folder.absolute() / f"{actor}.count"
+        return SupervisedProcess(
+            name, start, start_run, self._metrics, place_timeout_s=self._config.actors.place_timeout_s
+        )
 
     def _retire(self, actor: str) -> None:
         """Count out an actor that will not come back, by its own count if its file can be read from here."""
-        self._ingest.retire(actor, read_counts(self._counter_file(actor)))
+        self._ingest.retire(actor, read_counts(counter_file(self._counts, self._folder.identity, actor)))
 
     def _announce_scorers(self) -> None:
         """Tell the actors when the addresses of the reward services have changed."""
@@ -202,10 +223,9 @@ class Fleet:
             self._surplus.append((actor, time.monotonic() + LEAVE_TIMEOUT_S + STOP_TIMEOUT_S))
         for actor, deadline_s in list(self._surplus):
             if actor.running is None or actor.running.done() or time.monotonic() > deadline_s:
-                actor.process.kill(restart=False)
+                actor.process.kill()
                 self._surplus.remove((actor, deadline_s))
                 self._retire(actor.name)
-        self._count_workers()
 
     def _affordable(self, wanted: int) -> int:
         """How many of the wanted actors to have: the present number if more would need too many open files."""
@@ -224,6 +244,13 @@ class Fleet:
         for kind, state in product(WORKERS, WORKER_STATES):
             self._metrics.workers.labels(kind, state).set(counts[kind, state])
 
+    def _ping(self) -> None:
+        """Show the reward services that there is a learner; the actors hear its socket."""
+        if time.monotonic() - self._pinged_s > PING_S:
+            self._pinged_s = time.monotonic()
+            for service in self._services:
+                service.notify("ping")
+
     def _check_health(self) -> None:
         if self._services and not any(service.healthy for service in self._services):
             raise RuntimeError(f"no reward service stays up: {self._services[0].quarantine_reason}")
@@ -236,9 +263,19 @@ class Fleet:
             )
 
 
-def _method(process: Process, restarts: int) -> str:
+def places(config: Config) -> dict[str, Place]:
+    """What a process asks of its node, by kind."""
+    actors, scoring = config.actors, config.scoring
+    resources = {"chrome": actors.chrome} if actors.chrome else {}
+    return {
+        "actor": Place(cpus=actors.cpus, memory_bytes=round(actors.memory_mb * 1e6), resources=resources),
+        "reward-service": Place(cpus=scoring.cpus, memory_bytes=round(scoring.memory_mb * 1e6), apart=True),
+    }
+
+
+def _method(process: Process) -> str:
     """The method that starts a run: "rejoin" if an earlier learner started the process and it may still run."""
-    return "rejoin" if process.reattached and not restarts else "run"
+    return "rejoin" if process.reattached else "run"
 
 
 def _wait_until_ended(members: Sequence[SupervisedProcess]) -> None:

@@ -47,8 +47,11 @@ class Runtime(Protocol):
     def committed(self) -> None:
         """Called when the checkpoint of the last `save` is complete on disk."""
 
-    def drain(self) -> None:
-        """Stop playing and collect the finished episodes."""
+    def drain(self) -> bool:
+        """Stop playing and collect the finished episodes. Returns whether there is anything new to save."""
+
+    def forget(self) -> None:
+        """After `drain` and `save`: delete temporary files that a resumed run would need if nothing had been saved."""
 
     def close(self) -> None:
         """End all processes and close the browser."""
@@ -112,8 +115,12 @@ class SerialRuntime:
     def committed(self) -> None:
         """Nothing to do: no episode is in flight between two learner steps."""
 
-    def drain(self) -> None:
+    def drain(self) -> bool:
         """Nothing to do: there are no other processes."""
+        return False
+
+    def forget(self) -> None:
+        """Nothing to do: there are no temporary files."""
 
     def close(self) -> None:
         self._browser.close()

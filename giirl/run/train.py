@@ -37,6 +37,7 @@ from learner.devices import device_memory_bytes, learner_device, learner_threads
 from learner.learner import Learner
 
 COUNTS = "counts.json"  # in a checkpoint
+LONG_ITERATION_S = 1.5  # Ray kills a job 3 s after it was asked to stop
 
 
 def train(config: Config, folder: RunFolder, resume: Path | None, display: Display) -> dict[str, Any]:
@@ -117,7 +118,7 @@ class Session:
         self._targets: dict[str, str] = {}
         self._recent = {task: deque[int](maxlen=WINDOW) for task in config.tasks}
         self.throughput = Throughput()
-        self._since_s = time.monotonic()
+        self._since_s = self._taken_s = time.monotonic()
         self.seconds_before = 0.0  # of the sessions before this one was resumed
         self.env_steps = 0  # in the episodes that the learner took
         self.episodes = 0
@@ -149,9 +150,10 @@ class Session:
             with self._display.job("training", config.iterations, learner.version) as self._job:
                 LOOPS[config.algorithm](config, learner, self, self._steps(), self._observe)
             raise_if(self._stop)
+            self._end()
         except Stopped:
-            self._runtime.drain()
-            self._save()
+            self._save()  # first: whoever asked to stop may kill this process soon
+            self._end()
             raise
         except RuntimeError as error:
             if self._consistent:
@@ -171,7 +173,7 @@ class Session:
             self._rollouts = self._runtime.take(episodes)
         if not self._rollouts:
             raise Stopped
-        self._consistent = False
+        self._consistent, self._taken_s = False, time.monotonic()
         if ALGORITHMS[self._config.algorithm].reward == "environment":
             return [with_env_reward(episode) for episode in self._rollouts]
         return [episode.trajectory for episode in self._rollouts]
@@ -195,6 +197,8 @@ class Session:
         assert self._runtime is not None
         assert self._job is not None
         self._learner.version, self._consistent = step + 1, True
+        # A stop in a long iteration may not find the time to wait for its end, so the last one has to be saved.
+        long = time.monotonic() - self._taken_s > LONG_ITERATION_S
         self.env_steps += sum(len(episode.trajectory) for episode in self._rollouts)
         self.episodes += len(self._rollouts)
         outcomes: dict[str, list[int]] = {task: [] for task in self._config.tasks}
@@ -209,7 +213,7 @@ class Session:
         self._metrics.end_iteration(step + 1, numbers, self._runtime.stream().actors_idle, device_memory_bytes())
         self._job.advance(1, f"{self._recent_success(outcomes)}; {format_rates(rates)}")
         self._update_targets()
-        if (step + 1) % self._config.checkpoint_every == 0 or step + 1 == self._config.iterations:
+        if long or (step + 1) % self._config.checkpoint_every == 0 or step + 1 == self._config.iterations:
             self._save()
 
     def _counts(self) -> dict[str, float]:
@@ -241,6 +245,13 @@ class Session:
             save_checkpoint(self._folder.checkpoints, self._learner.version, write, keep=self._config.keep_checkpoints)
         self._metrics.checkpoint_time.set_to_current_time()
         runtime.committed()
+
+    def _end(self) -> None:
+        """Collect what the actors have finished, and save it."""
+        assert self._runtime is not None
+        if self._runtime.drain():
+            self._save()
+            self._runtime.forget()
 
     def _save_if_consistent(self) -> None:
         """Save while waiting for rollouts, unless that would lose some."""

@@ -84,7 +84,7 @@ class WorkersRuntime:
         """The next `episodes` that the actors finished; an empty list when the run should stop.
 
         In lock-step it is a few more, so that there are equally many of every task. RuntimeError when too few come
-        within `stream.take_timeout_s`.
+        within `stream.take_timeout_s`; the time in which no node has room for an actor does not count.
         """
         if self._config.stream.policy_lag == 0:
             episodes = self._config.quota * len(self._config.tasks)
@@ -92,6 +92,8 @@ class WorkersRuntime:
         deadline_s = time.monotonic() + timeout_s
         while not self._stop.is_set():
             self._fleet.poll()
+            if self._fleet.waits_for_place:
+                deadline_s = time.monotonic() + timeout_s
             if self._ingest.wants_commit:
                 self._save_now()
             try:
@@ -125,9 +127,14 @@ class WorkersRuntime:
         """The last `save` is on the disk: actors may delete the episodes that it covers."""
         self._ingest.commit(self._snapshot)
 
-    def drain(self) -> None:
+    def forget(self) -> None:
+        """The last `save` covers everything that was played: delete what only another session would need."""
+        self._fleet.forget()
+
+    def drain(self) -> bool:
         """Let the actors send their finished episodes and end."""
         self._fleet.drain()
+        return True
 
     def close(self) -> None:
         """End all processes; those that do not end in time are killed."""

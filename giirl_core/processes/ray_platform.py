@@ -1,7 +1,7 @@
 """Worker processes as Ray actors: on this machine, or in the Ray cluster that this process was started in.
 
-Ray places, starts and restarts the processes and distributes weights: one object for each version, fetched once for
-each node. In a cluster the processes outlive the learner (detached actors); a restarted learner finds them by name.
+Ray places and starts the processes and distributes weights: one object for each version, fetched once for each node.
+In a cluster the processes outlive the learner for a while (detached actors); a restarted learner finds them by name.
 """
 
 from __future__ import annotations
@@ -10,19 +10,25 @@ import logging
 import os
 import secrets
 import signal
+import time
+from collections import Counter
+from collections.abc import Mapping
 from typing import Any
 
 import ray
 from ray.exceptions import RayError
+from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 from tenacity import retry, retry_if_exception, stop_after_attempt
 
 from giirl_core.config import Config
-from giirl_core.processes.supervision import ProcessDied
+from giirl_core.processes.code_version import code_version
+from giirl_core.processes.supervision import Place, ProcessDied
 
 NAMESPACE = "giirl"
 RESULT_GRACE_S = 10.0  # added to every timeout, for Ray to fetch the result
 START_ATTEMPTS = 3  # on a busy machine a node can need longer than the 30 s that Ray waits
 DEATH_INFO_TIMEOUT_MS = 100  # how long Ray waits to learn whether a process died or is unreachable; its default is 1 s
+PENDING_POLL_S = 1.0  # between two requests for the list of actors without a place
 THREADS = 16  # of one process: one runs the main loop, the others serve calls
 
 
@@ -55,24 +61,44 @@ class RayCall:
 
 
 class RayProcess:
-    """A Ray actor; Ray restarts it whenever it dies, until it is killed with `restart=False`."""
+    """A Ray actor. It is never restarted, so that what an earlier learner left behind cannot come back."""
 
-    def __init__(self, handle: Any, *, reattached: bool) -> None:
-        self._handle, self.reattached = handle, reattached
+    def __init__(self, handle: Any, pending: _PendingActors, *, reattached: bool) -> None:
+        self._handle, self._pending, self.reattached = handle, pending, reattached
+        self._created_s, self._placed = time.monotonic(), False
+
+    def placed(self) -> bool:
+        self._placed = self._placed or not self._pending.has(self._handle._actor_id.hex(), self._created_s)
+        return self._placed
 
     def call(self, method: str, *values: Any) -> RayCall:
-        # Ray retries `addresses` until the process has started. No other method may be executed twice.
-        retries = -1 if method == "addresses" else 0
-        return RayCall(getattr(self._handle, method).options(max_task_retries=retries).remote(*values))
+        return RayCall(getattr(self._handle, method).remote(*values))
 
-    def kill(self, *, restart: bool) -> None:
-        ray.kill(self._handle, no_restart=not restart)
+    def kill(self) -> None:
+        ray.kill(self._handle)
+
+
+class _PendingActors:
+    """The Ray actors for which no node has room yet: one request for all of them, every PENDING_POLL_S."""
+
+    def __init__(self) -> None:
+        self._ids: frozenset[str] = frozenset()
+        self._asked_s = float("-inf")
+
+    def has(self, actor_id: str, created_s: float) -> bool:
+        """Whether an actor is among them; also if the list may be older than the actor, created at this time."""
+        if time.monotonic() - self._asked_s > PENDING_POLL_S:
+            self._asked_s = time.monotonic()
+            table = ray._private.state.state.actor_table(None, actor_state_name="PENDING_CREATION")
+            self._ids = frozenset(key for key, info in table.items() if not info["Pid"])
+        return actor_id in self._ids or self._asked_s < created_s + PENDING_POLL_S
 
 
 class RayPlatform:
     """Ray: started on this machine for this run alone (runtime `local`), or joined (runtime `ray`).
 
-    Raises RuntimeError when Ray does not start.
+    On a cluster, processes are found by name: `run/process/code/number`. Those of this run that have another code
+    version are killed. Raises RuntimeError when Ray does not start.
     """
 
     def __init__(self, config: Config, run: str) -> None:
@@ -87,29 +113,82 @@ class RayPlatform:
         signal.signal(signal.SIGTERM, sigterm_handler)  # Ray installs its own, which would end a run unsaved
         self.node = _node_ip()
         self.host = "127.0.0.1" if self.single_node else self.node
+        self._pending = _PendingActors()
+        self._code = code_version()
+        self._handles: dict[str, Any] = {}  # the newest of each name
+        self._left = {} if self.single_node else self._find_left()
 
-    def start(self, kind: type[Any], name: str, *values: Any, cpus: int, threads: int = THREADS) -> RayProcess:
-        full_name = f"{self._run}/{name}"
-        if not self.single_node:
-            try:
-                return RayProcess(ray.get_actor(full_name, NAMESPACE), reattached=True)
-            except ValueError:
-                pass  # no actor has this name yet
+    def start(self, kind: type[Any], name: str, *values: Any, place: Place, threads: int = THREADS) -> RayProcess:
+        left = self._left.pop(name, None)
+        if left is not None:
+            self._handles[name] = left
+            return RayProcess(left, self._pending, reattached=True)
         # Ray pickles this class by value but its bases by name, so a process imports only the module of its `kind`.
         actor_class = type(kind.__name__, (_RayMixin, kind), {})
-        options: dict[str, Any] = {"num_cpus": cpus, "max_restarts": -1, "max_concurrency": threads}
-        if not self.single_node:
-            options |= {"name": full_name, "namespace": NAMESPACE, "lifetime": "detached"}
-        return RayProcess(ray.remote(actor_class).options(**options).remote(*values), reattached=False)
+        options: dict[str, Any] = {"num_cpus": 0, "max_restarts": 0, "max_concurrency": threads}
+        if not self.single_node:  # there, all processes share one machine, whatever they need
+            options |= {
+                "num_cpus": place.cpus,
+                "memory": place.memory_bytes or None,
+                "resources": dict(place.resources),
+                "scheduling_strategy": self._node_apart(name) if place.apart else "SPREAD",
+                "name": f"{self._run}/{name}/{self._code}/{secrets.token_hex(4)}",
+                "namespace": NAMESPACE,
+                "lifetime": "detached",
+            }
+        handle: Any = ray.remote(actor_class).options(**options).remote(*values)
+        self._handles[name] = handle
+        return RayProcess(handle, self._pending, reattached=False)
 
     def share(self, value: Any) -> Any:
         return ray.put(value)
 
     def resources(self) -> str:
-        return str(ray.cluster_resources())  # type: ignore[no-untyped-call]
+        free, there = ray.available_resources(), ray.cluster_resources()  # type: ignore[no-untyped-call]
+        nodes = sum(node["Alive"] for node in ray.nodes())  # type: ignore[no-untyped-call]
+        return f"{_free_of(free, there)} on {nodes} node{'s' if nodes != 1 else ''}"
 
     def close(self) -> None:
+        for handle in self._left.values():  # of an earlier session with more processes than this one
+            ray.kill(handle)
         ray.shutdown()
+
+    def _node_apart(self, name: str) -> Any:
+        """Prefer the node with the fewest processes of this kind, and not the one where this process was last."""
+        kind, nodes = name.rpartition("-")[0], {}
+        for other, handle in self._handles.items():
+            if other.rpartition("-")[0] == kind:
+                nodes[other] = ray._private.state.state.actor_table(handle._actor_id.hex())["Address"]["NodeID"]
+        last, used = nodes.pop(name, None), Counter(nodes.values())
+        alive = [node for node in ray.nodes() if node["Alive"]]  # type: ignore[no-untyped-call]
+        best = min(alive, key=lambda n: (used[n["NodeID"]], n["NodeID"] == last, not n["Resources"].get("CPU")))
+        return NodeAffinitySchedulingStrategy(best["NodeID"], soft=True)
+
+    def _find_left(self) -> dict[str, Any]:
+        """The processes of this run that an earlier learner left, by name; those of another code are killed."""
+        found = {}
+        for full_name in ray.util.list_named_actors():
+            run, _, rest = full_name.partition("/")
+            if run != self._run:
+                continue
+            handle: Any = ray.get_actor(full_name, NAMESPACE)
+            name, code, _ = rest.split("/")
+            if code == self._code and name not in found:
+                found[name] = handle
+            else:
+                ray.kill(handle)
+        return found
+
+
+def _free_of(free: Mapping[str, float], there: Mapping[str, float]) -> str:
+    """What is free of the resources that a process can ask for."""
+    parts = []
+    for name, total in sorted(there.items()):
+        if name == "memory":
+            parts.append(f"{free.get(name, 0) / 1e6:.0f} of {total / 1e6:.0f} MB of memory")
+        elif ":" not in name and name != "object_store_memory":
+            parts.append(f"{free.get(name, 0):g} of {total:g} {name}")
+    return ", ".join(parts)
 
 
 @retry(
@@ -124,7 +203,7 @@ def _init(config: Config) -> None:
     os.environ.setdefault("RAY_COLOR_PREFIX", "0")
     quiet: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": True}
     if config.runtime == "ray":
-        ray.init(address="auto", **quiet)
+        ray.init(address="auto", namespace=NAMESPACE, **quiet)
         return
     if "RAY_AUTH_MODE" not in os.environ:  # with a token in the environment Ray writes none to the disk
         os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))

@@ -11,7 +11,7 @@ import importlib.metadata
 import os
 from collections.abc import Mapping, Sequence
 from itertools import product
-from typing import TypeVar
+from typing import Literal, TypeVar, get_args
 
 from prometheus_client import (
     CollectorRegistry,
@@ -32,7 +32,8 @@ SAVE_BUCKETS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0)  # seconds
 Values = tuple[str, ...]
 ANY: Values = ()  # not known before
 WORKERS = (ACTOR, SERVICE)
-WORKER_STATES = ("starting", "running", "stopping", "given_up")
+WorkerState = Literal["waiting", "starting", "running", "stopping", "given_up"]
+WORKER_STATES = get_args(WorkerState)
 PHASES = ("demonstrations", "starting", "training", "evaluation")
 PURPOSES = ("train", "demonstrate", "evaluate", "inspect", "random")
 OUTCOMES = ("success", "failure", "step_limit", "lost", "empty_page")

@@ -32,7 +32,9 @@ def main() -> None:
         definition = yaml.safe_load(Path(name).read_text())
         kind = definition["spec"]["names"]["kind"]
         (schema,) = (
-            version["schema"]["openAPIV3Schema"] for version in definition["spec"]["versions"] if version["name"] == "v1"
+            version["schema"]["openAPIV3Schema"]
+            for version in definition["spec"]["versions"]
+            if version["name"] == "v1"
         )
         text = json.dumps(without_descriptions(schema), separators=(",", ":"))
         (SCHEMAS / f"{kind}.json.gz").write_bytes(gzip.compress(text.encode(), 9, mtime=0))

@@ -8,6 +8,7 @@ import time
 
 from giirl_core.config_file import dump_config, load_config
 from giirl_core.processes.ray_platform import RayPlatform
+from giirl_core.processes.supervision import Place
 from giirl_core.processes.worker_process import WorkerProcess
 
 PRINTED_S = 8.0  # Ray collects repeated lines for 5 s
@@ -24,7 +25,9 @@ def main() -> None:
     config = load_config(None, ["runtime=local", "net.vectors=hashed", "browser=fake"])
     platform = RayPlatform(config, "run")
     names = [f"actor-{index}" for index in range(int(sys.argv[1]))]
-    processes = [platform.start(WarningProcess, name, dump_config(config), "run", name, None, cpus=0) for name in names]
+    processes = [
+        platform.start(WarningProcess, name, dump_config(config), "run", name, None, place=Place()) for name in names
+    ]
     for process in processes:
         process.call("warn").result(60)
     time.sleep(PRINTED_S)

@@ -92,7 +92,7 @@ def test_rejoin_returns_from_an_idle_reward_service_and_waits_for_a_serving_one(
     service.rejoin(first)  # returns at once: the caller has to call run
     threads = [Thread(target=service.run, args=(first,)), Thread(target=service.rejoin, args=(second,))]
     threads[0].start()
-    while not service._serving:
+    while not service._running:
         time.sleep(0.01)
     threads[1].start()
     threads[1].join(0.5)
