@@ -16,6 +16,7 @@ from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.config_file import dump_config
 from giirl_core.metrics import Metrics
+from giirl_core.processes.broadcast import Broadcast
 from giirl_core.processes.open_files import raise_open_files
 from giirl_core.processes.supervision import START_TIMEOUT_S, Call, Place, Platform, Process, SupervisedProcess
 from giirl_core.processes.waiting import WaitingNotice
@@ -65,6 +66,7 @@ class Fleet:
         self._places = places(config)
         # On a cluster each actor counts its episodes in a temporary folder on its node.
         self._counts = (folder.path / "actors").absolute() if platform.single_node else None
+        self._broadcast = Broadcast()  # of policy weights, to the actors
         self._scorers: list[str] = []
         self._polled_s = self._pinged_s = float("-inf")
         self._notice = WaitingNotice(lambda kind: str(self._places[kind]), platform.resources)
@@ -86,8 +88,7 @@ class Fleet:
             self._services = [self._start_service(index) for index in range(self._replicas)]
         for service in self._services:
             service.load(reward)
-        for actor in self._actors:
-            actor.load(policy)
+        self._broadcast.send(policy, [actor.process for actor in self._actors if actor.running is not None])
         self.poll()
 
     def poll(self) -> None:
@@ -138,6 +139,7 @@ class Fleet:
 
     def stop(self) -> None:
         """Drain, end the reward services, and kill what has not ended in time."""
+        self._broadcast.close()
         self.drain()
         for service in self._services:
             service.stopping = True

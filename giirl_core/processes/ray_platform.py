@@ -10,10 +10,12 @@ import logging
 import os
 import secrets
 import signal
+import threading
 import time
 from collections import Counter
 from collections.abc import Mapping
 from typing import Any
+from weakref import WeakSet
 
 import ray
 from ray.exceptions import RayError
@@ -28,6 +30,7 @@ NAMESPACE = "giirl"
 RESULT_GRACE_S = 10.0  # added to every timeout, for Ray to fetch the result
 START_ATTEMPTS = 3  # on a busy machine a node can need longer than the 30 s that Ray waits
 DEATH_INFO_TIMEOUT_MS = 100  # how long Ray waits to learn whether a process died or is unreachable; its default is 1 s
+DONE_POLL_S = 0.02  # between two requests which calls have returned
 PENDING_POLL_S = 1.0  # between two requests for the list of actors without a place
 THREADS = 16  # of one process: one runs the main loop, the others serve calls
 
@@ -46,25 +49,51 @@ class _RayMixin:
 class RayCall:
     """A method call in progress in a Ray actor."""
 
-    def __init__(self, ref: Any) -> None:
-        self._ref = ref
+    def __init__(self, ref: Any, unfinished: _UnfinishedCalls) -> None:
+        self.ref, self._unfinished = ref, unfinished
+        unfinished.add(self)
 
     def done(self) -> bool:
-        return bool(ray.wait([self._ref], timeout=0)[0])
+        return self._unfinished.is_done(self)
 
     def result(self, timeout_s: float) -> Any:
         try:
-            return ray.get(self._ref, timeout=timeout_s + RESULT_GRACE_S)
+            return ray.get(self.ref, timeout=timeout_s + RESULT_GRACE_S)
         except RayError as error:
             lines = [line.strip() for line in str(error).splitlines() if line.strip()]
             raise ProcessDied(lines[-1] if lines else type(error).__name__) from None
 
 
+class _UnfinishedCalls:
+    """The calls whose results have not come: one request for all of them, every DONE_POLL_S. Thread-safe.
+
+    A fleet asks for each of its calls, and a request for one takes about as long as for twenty.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._calls: WeakSet[RayCall] = WeakSet()
+        self._asked_s = float("-inf")
+
+    def add(self, call: RayCall) -> None:
+        with self._lock:
+            self._calls.add(call)
+
+    def is_done(self, call: RayCall) -> bool:
+        with self._lock:
+            if call in self._calls and time.monotonic() - self._asked_s > DONE_POLL_S:
+                calls = {other.ref: other for other in self._calls}
+                for ref in ray.wait(list(calls), num_returns=len(calls), timeout=0, fetch_local=False)[0]:
+                    self._calls.discard(calls[ref])
+                self._asked_s = time.monotonic()
+            return call not in self._calls
+
+
 class RayProcess:
     """A Ray actor. It is never restarted, so that what an earlier learner left behind cannot come back."""
 
-    def __init__(self, handle: Any, pending: _PendingActors, *, reattached: bool) -> None:
-        self._handle, self._pending, self.reattached = handle, pending, reattached
+    def __init__(self, handle: Any, pending: _PendingActors, unfinished: _UnfinishedCalls, *, reattached: bool) -> None:
+        self._handle, self._pending, self._unfinished, self.reattached = handle, pending, unfinished, reattached
         self._created_s, self._placed = time.monotonic(), False
 
     def placed(self) -> bool:
@@ -72,7 +101,7 @@ class RayProcess:
         return self._placed
 
     def call(self, method: str, *values: Any) -> RayCall:
-        return RayCall(getattr(self._handle, method).remote(*values))
+        return RayCall(getattr(self._handle, method).remote(*values), self._unfinished)
 
     def kill(self) -> None:
         ray.kill(self._handle)
@@ -113,7 +142,7 @@ class RayPlatform:
         signal.signal(signal.SIGTERM, sigterm_handler)  # Ray installs its own, which would end a run unsaved
         self.node = _node_ip()
         self.host = "127.0.0.1" if self.single_node else self.node
-        self._pending = _PendingActors()
+        self._pending, self._unfinished = _PendingActors(), _UnfinishedCalls()
         self._code = code_version()
         self._handles: dict[str, Any] = {}  # the newest of each name
         self._left = {} if self.single_node else self._find_left()
@@ -122,7 +151,7 @@ class RayPlatform:
         left = self._left.pop(name, None)
         if left is not None:
             self._handles[name] = left
-            return RayProcess(left, self._pending, reattached=True)
+            return RayProcess(left, self._pending, self._unfinished, reattached=True)
         # Ray pickles this class by value but its bases by name, so a process imports only the module of its `kind`.
         actor_class = type(kind.__name__, (_RayMixin, kind), {})
         options: dict[str, Any] = {"num_cpus": 0, "max_restarts": 0, "max_concurrency": threads}
@@ -138,7 +167,7 @@ class RayPlatform:
             }
         handle: Any = ray.remote(actor_class).options(**options).remote(*values)
         self._handles[name] = handle
-        return RayProcess(handle, self._pending, reattached=False)
+        return RayProcess(handle, self._pending, self._unfinished, reattached=False)
 
     def share(self, value: Any) -> Any:
         return ray.put(value)

@@ -92,6 +92,7 @@ def test_each_call_of_the_learner_is_a_sign_of_life(clock: Clock, tmp_path: Path
         call()
         assert service.silent_s() < 1
         assert not service.left.wait(0.1)
+    service.run(weights)  # it was stopped, so this only closes its socket
 
 
 def test_a_reward_service_that_serves_leaves_when_its_learner_is_silent(clock: Clock, tmp_path: Path) -> None:
