@@ -142,7 +142,7 @@ ROWS: dict[str, Sequence[Panel]] = {
             [("{{process}}: {{reason}}", rate(M.waiting_seconds, "process", "reason"))],
         ),
         Panel("Threads that wait", "none", [("{{reason}}", level(M.waiting_threads, "reason"))]),
-        Panel("Idle tabs", "percentunit", [("of the actors", level(M.actors_idle))]),
+        Panel("Idle tabs", "percentunit", [("of the actors", level(M.flow, key="actors_idle"))]),
         Panel("Gradient updates per second", "ops", [("{{network}}", rate(M.gradient_updates, "network"))]),
         Panel("Time in updates", "percentunit", [("{{network}}", busy(M.gradient_update_duration, "network"))]),
     ),

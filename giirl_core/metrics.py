@@ -56,23 +56,31 @@ class Metrics(Series):
         else:
             self.health.not_ready(f"the phase of the run is {phase}")
 
-    def begin(self, identity: str, algorithm: str, device: str, iterations: int) -> None:
-        """A session of training begins, with this many iterations as its goal."""
+    def dropped(self) -> dict[str, int]:
+        """The numbers above 0 of episodes that were dropped, by reason, and of lost ones."""
+        families = (*self.trajectories_dropped.collect(), *self.trajectories_lost.collect())
+        samples = [sample for family in families for sample in family.samples if sample.value]
+        return {sample.labels.get("reason", "lost"): int(sample.value) for sample in samples}
+
+    def begin(self, identity: str, algorithm: str, device: str, version: int, iterations: int) -> None:
+        """A session of training begins at iteration `version`, with `iterations` as its goal."""
         self.enter("starting")
         self.run_info.labels(identity, algorithm, device).set(1)
+        self.policy_version.set(version)
         self.iterations_goal.set(iterations)
 
     def end_iteration(
-        self, version: int, statistics: Mapping[str, float], actors_idle: float, device_memory_bytes: int
+        self, version: int, statistics: Mapping[str, float], flow: Mapping[str, float], device_memory_bytes: int
     ) -> None:
-        """An iteration is done: `version` is its number, `statistics` are those of curve.jsonl."""
+        """An iteration is done: `version` is its number; `statistics` and `flow` are those of curve.jsonl."""
         self.health.beat()
         self.policy_version.set(version)
         self.reward_version.set(version)
-        self.actors_idle.set(actors_idle)
         self.device_memory.set(device_memory_bytes)
         for key, value in statistics.items():
             self.training_statistic.labels(key).set(value)
+        for key, value in flow.items():
+            self.flow.labels(key).set(value)
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from rich.table import Column, Table
 from giirl.cli.actors import actors
 from giirl.cli.bench import bench
 from giirl.cli.demos import demos
+from giirl.cli.operate import clean, status, stop
 from giirl.cli.options import JSON, RUN, save_json
 from giirl.cli.report import report
 from giirl.cli.reproduce import reproduce
@@ -89,6 +90,7 @@ def train(
     seed=1 tasks='["click-button"]' policy.entropy=0.2 run=runs/mine.
     """
     from giirl.operate import retry
+    from giirl.operate.stop import stop_requests
     from giirl.run.api import train
     from giirl.signals import Stopped
     from learner.checkpoint import latest_checkpoint
@@ -120,6 +122,7 @@ def train(
         context.with_resource(folder_lock(folder.path))
         display.say(f"run folder {folder.path}; all settings are in its {folder.config_file.name}")
         display.say(f"settings that differ from the defaults: {' '.join(changed(settings)) or 'none'}")
+    context.with_resource(stop_requests(folder))
     try:
         result = train(settings, folder, checkpoint, display)
     except Stopped:
@@ -146,6 +149,9 @@ def evaluate(run: Path, overrides: tuple[str, ...], json_file: Path | None) -> N
 
 giirl.add_command(actors)
 giirl.add_command(bench)
+giirl.add_command(clean)
+giirl.add_command(status)
+giirl.add_command(stop)
 giirl.add_command(demos)
 giirl.add_command(reproduce)
 giirl.add_command(report)

@@ -127,7 +127,8 @@ class Session:
         """Train from the learner's version to `iterations`, and return when the runtime is closed."""
         config, learner, metrics = self._config, self._learner, self._metrics
         self._folder.cut_curve(learner.version)
-        metrics.begin(self._folder.identity, config.algorithm, learner_device(config).type, config.iterations)
+        device = learner_device(config).type
+        metrics.begin(self._folder.identity, config.algorithm, device, learner.version, config.iterations)
         if resume is not None:
             counts = json.loads((resume / COUNTS).read_text())
             self.env_steps, self.episodes = counts["env_steps"], counts["episodes"]
@@ -146,7 +147,6 @@ class Session:
             if resume is None:
                 self._save()  # now the run can be resumed
             metrics.enter("training")
-            self._display.say(f"success: over the last {WINDOW} episodes of {', '.join(config.tasks)}")
             with self._display.job("training", config.iterations, learner.version) as self._job:
                 LOOPS[config.algorithm](config, learner, self, self._steps(), self._observe)
             raise_if(self._stop)
@@ -210,8 +210,8 @@ class Session:
         numbers = {k: round(v, 4) for k, v in stats.items()}
         self._folder.append_curve({**self._counts(), "outcomes": outcomes, **numbers, "flow": rates})
         self._runtime.publish(*self._learner.weights())
-        self._metrics.end_iteration(step + 1, numbers, self._runtime.stream().actors_idle, device_memory_bytes())
-        self._job.advance(1, f"{self._recent_success(outcomes)}; {format_rates(rates)}")
+        self._metrics.end_iteration(step + 1, numbers, rates, device_memory_bytes())
+        self._job.advance(1, f"{self._recent_success(outcomes)}; {format_rates(rates, self._metrics.dropped())}")
         self._update_targets()
         if long or (step + 1) % self._config.checkpoint_every == 0 or step + 1 == self._config.iterations:
             self._save()
@@ -225,11 +225,10 @@ class Session:
         """Success of the exploring policy over the last WINDOW episodes, task by task."""
         for task, some in outcomes.items():
             self._recent[task].extend(some)
-            if self._recent[task]:
-                self._metrics.success.labels(task).set(sum(self._recent[task]) / len(self._recent[task]))
-        return (
-            "success " + " ".join(f"{100 * sum(some) / max(len(some), 1):.0f}" for some in self._recent.values()) + " %"
-        )
+        success = {task: sum(some) / len(some) for task, some in self._recent.items() if some}
+        for task, share in success.items():
+            self._metrics.success.labels(task).set(share)
+        return "success " + ", ".join(f"{task} {100 * share:.0f}" for task, share in success.items()) + " %"
 
     def _save(self) -> None:
         runtime = self._runtime

@@ -111,7 +111,8 @@ class WorkersRuntime:
 
     def stream(self) -> StreamState:
         """How many episodes were dropped as stale, and how much of their time the actors' tabs are idle."""
-        return StreamState(stale=self._ingest.stale - self._stale_before, actors_idle=self._ingest.idle_share)
+        ingest = self._ingest
+        return StreamState(stale=ingest.stale - self._stale_before, queued=ingest.queued, actors_idle=ingest.idle_share)
 
     def addresses(self) -> dict[str, str]:
         """The metrics address of each process that is up, by its name."""

@@ -13,7 +13,8 @@ import signal
 import threading
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from contextlib import suppress
 from typing import Any
 from weakref import WeakSet
 
@@ -32,6 +33,11 @@ START_ATTEMPTS = 3  # on a busy machine a node can need longer than the 30 s tha
 DEATH_INFO_TIMEOUT_MS = 100  # how long Ray waits to learn whether a process died or is unreachable; its default is 1 s
 DONE_POLL_S = 0.02  # between two requests which calls have returned
 PENDING_POLL_S = 1.0  # between two requests for the list of actors without a place
+DEAD_S = 30.0  # `giirl clean` takes a learner for dead that its processes have not heard of for this long
+ANSWER_TIMEOUT_S = 5.0  # for processes that `giirl clean` asks
+QUIET: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
+# What the workers of a run write, which is their warnings, is printed: once, and then how often it came again.
+LOGGED = {**QUIET, "log_to_driver": True}
 THREADS = 16  # of one process: one runs the main loop, the others serve calls
 
 
@@ -212,12 +218,50 @@ class RayPlatform:
 def _free_of(free: Mapping[str, float], there: Mapping[str, float]) -> str:
     """What is free of the resources that a process can ask for."""
     parts = []
-    for name, total in sorted(there.items()):
+    for name, total in sorted({"CPU": 0.0, **there}.items()):
         if name == "memory":
             parts.append(f"{free.get(name, 0) / 1e6:.0f} of {total / 1e6:.0f} MB of memory")
         elif ":" not in name and name != "object_store_memory":
             parts.append(f"{free.get(name, 0):g} of {total:g} {name}")
     return ", ".join(parts)
+
+
+def kill_left(runs: Collection[str], *, dry_run: bool) -> list[str]:
+    """Kill the processes of dead runs in the cluster that this machine belongs to; only of `runs`, if there are any.
+
+    Returns their names. A run is dead when none of its processes has heard of its learner for DEAD_S.
+    """
+    try:
+        _join()
+    except ConnectionError:  # there is no cluster
+        return []
+    try:
+        found: dict[str, dict[str, Any]] = {}
+        for name in ray.util.list_named_actors():
+            found.setdefault(name.partition("/")[0], {})[name] = ray.get_actor(name, NAMESPACE)
+        dead = {run for run, handles in found.items() if (run in runs if runs else _silent_s(handles) > DEAD_S)}
+        killed = {name: handle for run in dead for name, handle in found[run].items()}
+        for handle in killed.values() if not dry_run else ():
+            ray.kill(handle)
+        return sorted(killed)
+    finally:
+        ray.shutdown()
+
+
+def _silent_s(handles: Mapping[str, Any]) -> float:
+    """How long the processes of a run have heard of no learner; infinite if none can answer and their job is dead."""
+    calls = [handle.silent_s.remote() for handle in handles.values()]
+    answered, _ = ray.wait(calls, num_returns=len(calls), timeout=ANSWER_TIMEOUT_S)
+    silences = []
+    for call in answered:
+        with suppress(RayError):
+            silences.append(float(ray.get(call)))
+    if silences:
+        return min(silences)
+    table = ray._private.state.state
+    jobs = {job["JobID"]: job["IsDead"] for job in table.job_table()}  # type: ignore[no-untyped-call]
+    started_by = {table.actor_table(handle._actor_id.hex()).get("JobID", "") for handle in handles.values()}
+    return float("inf") if all(jobs.get(job, True) for job in started_by) else 0.0
 
 
 @retry(
@@ -228,11 +272,9 @@ def _free_of(free: Mapping[str, float], there: Mapping[str, float]) -> str:
 )
 def _init(config: Config) -> None:
     os.environ.setdefault("RAY_timeout_ms_task_wait_for_death_info", str(DEATH_INFO_TIMEOUT_MS))
-    # What the workers write, which is their warnings, is printed here: once, and then how often it came again.
     os.environ.setdefault("RAY_COLOR_PREFIX", "0")
-    quiet: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": True}
     if config.runtime == "ray":
-        ray.init(address="auto", namespace=NAMESPACE, **quiet)
+        _join(LOGGED)
         return
     if "RAY_AUTH_MODE" not in os.environ:  # with a token in the environment Ray writes none to the disk
         os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
@@ -243,8 +285,18 @@ def _init(config: Config) -> None:
         num_cpus=max(config.actors.count, os.cpu_count() or 1),
         include_dashboard=False,
         object_store_memory=256 << 20,
-        **quiet,
+        **LOGGED,
     )
+
+
+def _join(logs: Mapping[str, Any] = QUIET) -> None:
+    """Join the cluster that this machine belongs to. ConnectionError if it belongs to none."""
+    if os.environ.get("RAY_ADDRESS", "").startswith("http"):
+        raise ValueError(
+            f"RAY_ADDRESS is {os.environ['RAY_ADDRESS']}, the address for submitting jobs: "
+            "submit this command with `ray job submit`, or unset RAY_ADDRESS on a node of the cluster"
+        )
+    ray.init(address="auto", namespace=NAMESPACE, **logs)
 
 
 def _node_ip() -> str:

@@ -22,6 +22,7 @@ from prometheus_client import (
     disable_created_metrics,
 )
 from prometheus_client.exposition import choose_encoder
+from prometheus_client.parser import text_string_to_metric_families
 
 LEARNER, ACTOR, SERVICE = KINDS = ("learner", "actor", "reward-service")
 LAG_BUCKETS = (0, 1, 2, 3, 4, 6, 8, 12, 16)  # versions
@@ -45,6 +46,18 @@ SCORING_RESULTS = ("ok", "overloaded", "malformed", "no_weights", "failed", "unr
 M = TypeVar("M", Counter, Gauge, Histogram)
 
 disable_created_metrics()  # type: ignore[no-untyped-call] # a second series for each counter, which nobody reads
+
+
+Samples = dict[str, list[tuple[dict[str, str], float]]]  # by name: labels and value of each series
+
+
+def parse_samples(text: str) -> Samples:
+    """The metrics that a process has served. ValueError if the text is something else."""
+    found: Samples = {}
+    for family in text_string_to_metric_families(text):
+        for sample in family.samples:
+            found.setdefault(sample.name, []).append((dict(sample.labels), sample.value))
+    return found
 
 
 class Series:
@@ -115,7 +128,7 @@ class Series:
             "giirl_run_phase", "Whether the run is in a phase: 1 or 0.", (LEARNER,), phase=PHASES
         )
         self.iterations_goal = self._gauge(
-            "giirl_iterations_goal", "Iterations after which the training ends.", (LEARNER,)
+            "giirl_iterations_goal", "Iterations after which the training ends; 0 before it begins.", (LEARNER,)
         )
         self.checkpoint_time = self._gauge(
             "giirl_checkpoint_timestamp_seconds", "Time of the last checkpoint; 0 before the first.", (LEARNER,)
@@ -125,6 +138,12 @@ class Series:
         )
         self.success = self._gauge(
             "giirl_success_ratio", "Success over the last 100 training episodes of a task.", (LEARNER,), task=ANY
+        )
+        self.flow = self._gauge(
+            "giirl_flow",
+            "A rate or share over the last 20 s, as in `flow` of curve.jsonl.",
+            (LEARNER,),
+            key=ANY,
         )
 
     def _define_environment(self) -> None:
@@ -180,9 +199,6 @@ class Series:
         )
         self.trajectories_queued = self._gauge(
             "giirl_trajectories_queued", "Number of trajectories in the learner's queue.", (LEARNER,)
-        )
-        self.actors_idle = self._gauge(
-            "giirl_actors_idle_ratio", "Fraction of the actors' tabs that wait for the learner.", (LEARNER,)
         )
         self.policy_lag = self._histogram(
             "giirl_policy_lag_versions",

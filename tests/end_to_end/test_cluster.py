@@ -22,6 +22,8 @@ iterations = 4
 rollout_batch = 4
 net = {vectors = "hashed", width = 16}
 demos = {per_task = 4}
+discriminator = {batch = 8, updates = 1}
+policy = {sampled_actions = 4}
 evaluate = {episodes = 4, random_episodes = 4}
 """
 
@@ -87,20 +89,20 @@ def test_a_submitted_job_trains_and_writes_its_result_to_the_given_folder(cluste
 def test_a_stopped_job_goes_on_with_the_same_command_and_leaves_nothing(cluster: Cluster, folder: Path) -> None:
     """`ray job stop` gives a job 3 seconds, Ray's default."""
     run, config = folder / "stopped", folder / "long.toml"
-    config.write_text(TINY.replace("iterations = 4", "iterations = 60"))
+    config.write_text(TINY.replace("iterations = 4", "iterations = 30"))
     words = (config, f"run={run}", "actors.count=2", "actors.step_delay_s=0.2", "--resume-or-start")
     with cluster.submit(*words) as job:
         job.until(lambda: step(run) > 5, "first iterations", timeout_s=150)
         cluster.stop(job)
         job.wait()
         reached = step(run)
-        assert reached < 60, job.output
+        assert reached < 30, job.output
     assert reached - saved(run) <= 1
     with cluster.submit(*words) as job:
         assert job.wait(timeout_s=200) == 0, job.output
         assert f"resuming {run} from step-" in job.output
         assert "is given up" not in job.output
-    assert [point["step"] for point in curve(run)] == list(range(1, 61))
+    assert [point["step"] for point in curve(run)] == list(range(1, 31))
     assert (run / "result.json").is_file()
     assert cluster.left(run) == []
 

@@ -70,7 +70,6 @@ def test_a_scrape_returns_the_recorded_values(metrics: Metrics) -> None:
 def test_the_names_of_all_metrics(metrics: Metrics) -> None:
     assert {family.name for family in metrics.registry.collect() if family.name.startswith("giirl_")} == {
         "giirl_actor_last_heard_timestamp_seconds",
-        "giirl_actors_idle_ratio",
         "giirl_browser_recoveries",
         "giirl_build_info",
         "giirl_checkpoint_duration_seconds",
@@ -81,6 +80,7 @@ def test_the_names_of_all_metrics(metrics: Metrics) -> None:
         "giirl_env_steps",
         "giirl_episodes",
         "giirl_episodes_unscored",
+        "giirl_flow",
         "giirl_gradient_update_duration_seconds",
         "giirl_gradient_updates",
         "giirl_iterations_goal",
@@ -116,7 +116,7 @@ def test_promtool_finds_nothing_wrong_with_the_metrics_of_any_kind_of_process(ki
     with closing(Metrics(kind)) as metrics:
         metrics.episodes.labels("click-test", "success", "train").inc()
         metrics.success.labels("click-test").set(1)
-        metrics.begin("one", "giirl", "cpu", 3)
+        metrics.begin("one", "giirl", "cpu", 0, 3)
         text = metrics.render("")[0]
     found = subprocess.run([promtool, "check", "metrics"], input=text, capture_output=True, timeout=60, check=False)
     assert (found.returncode, found.stdout, found.stderr) == (0, b"", b"")

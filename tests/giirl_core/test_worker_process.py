@@ -85,14 +85,20 @@ def test_a_process_that_no_learner_ever_calls_leaves(clock: Clock, tmp_path: Pat
 
 
 def test_each_call_of_the_learner_is_a_sign_of_life(clock: Clock, tmp_path: Path) -> None:
-    service = LeavingService(settings(tmp_path))
-    weights = serialise_net(build_reward(config(tmp_path)).net, 0)
-    for call in (service.addresses, service.ping, lambda: service.load(weights), service.stop):
+    actor = LeavingActor(settings(tmp_path), "run", 0, tmp_path, None)
+    weights = policy(tmp_path)
+    calls = (
+        actor.ping,
+        lambda: actor.load(weights),
+        lambda: actor.set_scorers(()),
+        actor.forget,
+        lambda: actor.stop(0),
+    )
+    for call in calls:
         clock.ahead_s += SHORT_S - 3
         call()
-        assert service.silent_s() < 1
-        assert not service.left.wait(0.1)
-    service.run(weights)  # it was stopped, so this only closes its socket
+        assert actor.silent_s() < 1
+        assert not actor.left.wait(0.1)
 
 
 def test_a_reward_service_that_serves_leaves_when_its_learner_is_silent(clock: Clock, tmp_path: Path) -> None:
@@ -105,6 +111,7 @@ def test_a_reward_service_that_serves_leaves_when_its_learner_is_silent(clock: C
     assert service.left.wait(WAIT_S)
     service.stop()
     serving.join(WAIT_S)
+    service._metrics.close()
 
 
 def test_an_actor_that_waits_for_credits_of_a_dead_learner_leaves(
