@@ -71,10 +71,7 @@ class RayCall:
 
 
 class _UnfinishedCalls:
-    """The calls whose results have not come: one request for all of them, every DONE_POLL_S. Thread-safe.
-
-    A fleet asks for each of its calls, and a request for one takes about as long as for twenty.
-    """
+    """The calls whose results have not come: one request for all of them, every DONE_POLL_S. Thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
