@@ -22,7 +22,6 @@ from giirl_core.telemetry.series import ACTOR
 from giirl_core.types import Purpose
 from giirl_core.weights import Weights
 from giirl_core.wire.score_client import ScoreClient
-from giirl_core.wire.transport import Keys
 
 
 class ActorProcess(WorkerProcess):
@@ -30,7 +29,7 @@ class ActorProcess(WorkerProcess):
 
     KIND = ACTOR
 
-    def __init__(self, config: str, run: str, index: int, folder: Path | None, keys: Keys | None) -> None:
+    def __init__(self, config: str, run: str, index: int, folder: Path | None, encrypted: bool) -> None:
         """`folder` is where the actor counts its episodes; None is a temporary folder on the node that it runs on."""
         name = f"actor-{index}"
         self._index, self._counter_file = index, counter_file(folder, run, name)
@@ -38,11 +37,11 @@ class ActorProcess(WorkerProcess):
         self._worker: Worker | None = None
         self._weights: Weights | None = None  # the newest
         self._scorers: tuple[str, ...] = ()
-        super().__init__(config, run, name, keys)  # last, because it starts threads
+        super().__init__(config, run, name, encrypted)  # last, because it starts threads
 
     def addresses(self) -> tuple[str, str]:
-        """The address of the metrics, and "" because an actor serves nothing else."""
-        return self.metrics_address(), ""
+        """The address of the metrics, and the public key that this actor connects with; "" without encryption."""
+        return self.metrics_address(), self._keys.public.decode() if self._keys else ""
 
     def run(self, incarnation: int, first: int, learner: str, scorers: tuple[str, ...], weights: Weights) -> None:
         """Play until stopped.

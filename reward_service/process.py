@@ -12,7 +12,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from giirl_core.processes.worker_process import TICK_S, WorkerProcess
 from giirl_core.telemetry.series import SERVICE
 from giirl_core.weights import Weights
-from giirl_core.wire.transport import Keys
 from reward_service.service import RewardService, Scorer
 
 
@@ -21,9 +20,9 @@ class RewardProcess(WorkerProcess):
 
     KIND = SERVICE
 
-    def __init__(self, config: str, run: str, name: str, keys: Keys | None) -> None:
+    def __init__(self, config: str, run: str, name: str, encrypted: bool) -> None:
         self._service: RewardService | None = None
-        super().__init__(config, run, name, keys)  # last, because it starts threads
+        super().__init__(config, run, name, encrypted)  # last, because it starts threads
 
     def addresses(self) -> tuple[str, str]:
         """The addresses of the metrics and of the socket for score requests."""
@@ -31,10 +30,14 @@ class RewardProcess(WorkerProcess):
         self._service = self._service or RewardService(self._scorer, host=host, keys=self._keys, metrics=self._metrics)
         return self.metrics_address(), self._service.address
 
-    def run(self, weights: Weights) -> None:
-        """Serve until stopped. While `weights` are being loaded, requests get the reply that there are none yet."""
+    def run(self, weights: Weights, clients: tuple[str, ...]) -> None:
+        """Serve until stopped. While `weights` are being loaded, requests get the reply that there are none yet.
+
+        `clients` are the public keys of the actors, if connections are encrypted.
+        """
         service = self._service
         assert service is not None
+        self.allow(clients)
         self.ping()
         self._running = True
         try:
@@ -45,14 +48,21 @@ class RewardProcess(WorkerProcess):
         finally:
             self._service, self._running = None, False
 
-    def rejoin(self, weights: Weights) -> None:
+    def rejoin(self, weights: Weights, clients: tuple[str, ...]) -> None:
         """Work for a learner that was restarted. Returns when `run` does, or at once if it is not running."""
         self.ping()
         service = self._service
         if service is not None and self._running:
+            self.allow(clients)
             service.set_weights(weights, allow_older=True)
         while self._running:
             time.sleep(TICK_S)
+
+    def allow(self, clients: tuple[str, ...]) -> None:
+        """Accept connections of actors with these public keys only."""
+        self.ping()
+        if self._service is not None and self._keys is not None:
+            self._service.allow([key.encode() for key in clients])
 
     def load(self, weights: Weights) -> None:
         """Use newer reward weights."""

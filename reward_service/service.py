@@ -57,7 +57,7 @@ class _Loaded:
 
 
 class RewardService:
-    """Runs in the thread that calls `serve`; `set_weights` and `set_first_weights` may be called from other threads."""
+    """Runs in the thread that calls `serve`; the other methods may be called from other threads."""
 
     def __init__(
         self,
@@ -79,6 +79,10 @@ class RewardService:
         self._refusals = 0
         self._router = Router(host, port, keys=keys)
         self.address = self._router.address
+
+    def allow(self, public_keys: Sequence[bytes]) -> None:
+        """Accept connections of clients with these public keys only. The service needs keys of its own."""
+        self._router.allow(public_keys)
 
     @property
     def version(self) -> int:

@@ -52,8 +52,12 @@ class ThreadProcess:
 
 
 class ThreadPlatform:
+    """With `single_node=False` processes behave as on a cluster: encrypted connections, temporary files."""
+
     host = node = "127.0.0.1"
-    single_node = True
+
+    def __init__(self, *, single_node: bool = True) -> None:
+        self.single_node = single_node
 
     def start(self, kind: type[Any], name: str, *values: Any, place: Place, threads: int = 0) -> ThreadProcess:
         return ThreadProcess(kind(*values))

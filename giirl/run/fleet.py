@@ -21,7 +21,6 @@ from giirl_core.processes.open_files import raise_open_files
 from giirl_core.processes.supervision import START_TIMEOUT_S, Call, Place, Platform, Process, SupervisedProcess
 from giirl_core.processes.waiting import WaitingNotice
 from giirl_core.telemetry.series import WORKER_STATES, WORKERS
-from giirl_core.wire.transport import Keys
 from learner.stream.ingest import Ingest
 from reward_service.process import RewardProcess
 
@@ -46,14 +45,14 @@ class Fleet:
         folder: RunFolder,
         platform: Platform,
         ingest: Ingest,
-        keys: Keys | None,
+        encrypted: bool,
         metrics: Metrics,
         *,
         incarnation: int,
         episodes_taken: Callable[[], int],
     ) -> None:
         self._config, self._folder, self._platform, self._ingest = config, folder, platform, ingest
-        self._keys, self._metrics, self._episodes_taken = keys, metrics, episodes_taken
+        self._encrypted, self._metrics, self._episodes_taken = encrypted, metrics, episodes_taken
         self._incarnation = incarnation
         self._policy: Any = None  # weights, as the platform shares them
         self._reward: Any = None
@@ -67,6 +66,7 @@ class Fleet:
         # On a cluster each actor counts its episodes in a temporary folder on its node.
         self._counts = (folder.path / "actors").absolute() if platform.single_node else None
         self._broadcast = Broadcast()  # of policy weights, to the actors
+        self._clients: dict[str, str] = {}  # public key of each actor, by name
         self._scorers: list[str] = []
         self._polled_s = self._pinged_s = float("-inf")
         self._notice = WaitingNotice(lambda kind: str(self._places[kind]), platform.resources)
@@ -162,13 +162,13 @@ class Fleet:
 
     def _start_service(self, index: int) -> SupervisedProcess:
         name = f"reward-service-{index}"
-        values = (dump_config(self._config), self._folder.identity, name, self._keys)
+        values = (dump_config(self._config), self._folder.identity, name, self._encrypted)
 
         def start() -> Process:
             return self._platform.start(RewardProcess, name, *values, place=self._places["reward-service"])
 
-        def start_run(process: Process) -> Call:
-            return process.call(_method(process), self._reward)
+        def start_run(process: Process, addresses: tuple[str, str]) -> Call:
+            return process.call(_method(process), self._reward, tuple(self._clients.values()))
 
         return SupervisedProcess(
             name, start, start_run, self._metrics, place_timeout_s=self._config.actors.place_timeout_s
@@ -176,13 +176,14 @@ class Fleet:
 
     def _start_actor(self, index: int) -> SupervisedProcess:
         name = f"actor-{index}"
-        values = (dump_config(self._config), self._folder.identity, index, self._counts, self._keys)
+        values = (dump_config(self._config), self._folder.identity, index, self._counts, self._encrypted)
 
         def start() -> Process:
             return self._platform.start(ActorProcess, name, *values, place=self._places["actor"])
 
-        def start_run(process: Process) -> Call:
+        def start_run(process: Process, addresses: tuple[str, str]) -> Call:
             self._incarnation += 1
+            self._admit(name, addresses[1])
             first, scorers = self._episodes_taken(), tuple(self._scorers)
             method = _method(process)
             return process.call(method, self._incarnation, first, self._ingest.address, scorers, self._policy)
@@ -190,6 +191,14 @@ class Fleet:
         return SupervisedProcess(
             name, start, start_run, self._metrics, place_timeout_s=self._config.actors.place_timeout_s
         )
+
+    def _admit(self, actor: str, public_key: str) -> None:
+        """Let the learner and the reward services accept connections with this key."""
+        if public_key:
+            self._clients[actor] = public_key
+            self._ingest.allow([key.encode() for key in self._clients.values()])
+            for service in self._services:
+                service.notify("allow", tuple(self._clients.values()))
 
     def _retire(self, actor: str) -> None:
         """Count out an actor that will not come back, by its own count if its file can be read from here."""

@@ -20,7 +20,7 @@ from giirl_core.metrics import Metrics
 from giirl_core.processes.supervision import Platform
 from giirl_core.types import Episode
 from giirl_core.weights import Weights
-from giirl_core.wire.transport import Keys
+from giirl_core.wire.key_file import load_or_create_keys
 from learner.stream.flow import IngestLimits
 from learner.stream.ingest import Ingest
 from learner.stream.snapshot import IngestSnapshot
@@ -47,7 +47,7 @@ class WorkersRuntime:
         self._snapshot = IngestSnapshot.load(resume) if resume else IngestSnapshot()
         self._taken: int = json.loads((resume / RUNTIME_FILE).read_text())["taken"] if resume else 0
         # Connections beyond this machine are encrypted.
-        keys = None if platform.single_node else Keys.load_or_create(folder.keys)
+        keys = None if platform.single_node else load_or_create_keys(folder.keys)
         self._ingest = Ingest(
             folder.identity,
             lambda: self._version,
@@ -68,7 +68,7 @@ class WorkersRuntime:
             folder,
             platform,
             self._ingest,
-            keys,
+            not platform.single_node,
             metrics,
             incarnation=max([int(time.time()), *(incarnation + 1 for incarnation in known)]),  # they only grow
             episodes_taken=lambda: self._taken,

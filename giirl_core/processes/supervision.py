@@ -88,15 +88,15 @@ class Platform(Protocol):
 class SupervisedProcess:
     """One worker process and its `run` call, which should not return; when it does, another process takes its place.
 
-    `start` places a process, and `start_run(process)` makes its `run` call. The owner calls `poll` regularly. Nothing
-    here blocks.
+    `start` places a process, and `start_run(process, addresses)` makes its `run` call. The owner calls `poll`
+    regularly. Nothing here blocks.
     """
 
     def __init__(
         self,
         name: str,
         start: Callable[[], Process],
-        start_run: Callable[[Process], Call],
+        start_run: Callable[[Process, tuple[str, str]], Call],
         metrics: Metrics,
         *,
         place_timeout_s: float = float("inf"),
@@ -148,7 +148,7 @@ class SupervisedProcess:
             self._poll_start()
         if self.running is None and self.addresses is not None:
             self.since_s = time.monotonic()
-            self.running = self._start_run(self.process)
+            self.running = self._start_run(self.process, self.addresses)
         self._send_weights()
 
     def load(self, weights: Any) -> None:
@@ -178,7 +178,7 @@ class SupervisedProcess:
 
     def _reset(self) -> None:
         """There is no process that could run."""
-        self.addresses: tuple[str, str] | None = None  # of its metrics and its service, once it has started
+        self.addresses: tuple[str, str] | None = None  # what its method `addresses` returned, once it has started
         self._addresses_call = None
         self.running = None
         self._placed = False

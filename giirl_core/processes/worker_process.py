@@ -27,9 +27,13 @@ class WorkerProcess:
 
     KIND: str  # as `giirl_core.telemetry.series` names it
 
-    def __init__(self, config: str, run: str, name: str, keys: Keys | None) -> None:
-        """`run` is the identity of the run, `name` that of the process, such as "actor-0"."""
-        self._config, self._keys = parse_config(json.loads(config), "the driver's config"), keys
+    def __init__(self, config: str, run: str, name: str, encrypted: bool) -> None:
+        """`run` is the identity of the run, `name` that of the process, such as "actor-0".
+
+        `encrypted`: connections need a key pair. This process makes its own, and only tells its public key.
+        """
+        self._config = parse_config(json.loads(config), "the driver's config")
+        self._keys = Keys.generate() if encrypted else None
         self._metrics, self._metrics_address = Metrics(self.KIND), ""
         self._run, self._name = run, name
         configure_logs(self._config.log, run, name)

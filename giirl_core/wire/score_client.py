@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from itertools import count
 
 from giirl_core.types import UNSCORED, Trajectory
+from giirl_core.wire.addresses import split_key
 from giirl_core.wire.messages import WireError
 from giirl_core.wire.scoring import RETRYABLE, Rewards, ScoreReply, decode_reply, encode_request
 from giirl_core.wire.transport import Dealer, Keys
@@ -131,7 +132,7 @@ class ScoreClient:
             results = self._receive(WAIT_S if len(self._replicas) == 1 else WAIT_EACH_S)
         result = results[0]
         if result.rewards is None:
-            addresses = ", ".join(replica.address for replica in self._replicas) or "no address"
+            addresses = ", ".join(split_key(replica.address)[0] for replica in self._replicas) or "no address"
             raise TimeoutError(
                 f"the reward service at {addresses} gave no rewards for {len(trajectories)} episodes: {result.error}"
             )

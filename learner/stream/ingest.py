@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from giirl_core.metrics import Metrics, waiting
 from giirl_core.types import Episode
@@ -58,6 +58,10 @@ class Ingest:
         self.address = self._router.address
         self._thread = threading.Thread(target=self._run, name="ingest", daemon=True)
         self._thread.start()
+
+    def allow(self, public_keys: Iterable[bytes]) -> None:
+        """Accept connections of actors with these public keys only. The ingest needs keys of its own."""
+        self._router.allow(public_keys)
 
     def take(self, episodes: int, timeout_s: float) -> list[Episode]:
         """Wait for the next `episodes` fresh episodes, in order of arrival.

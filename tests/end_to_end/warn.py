@@ -26,7 +26,7 @@ def main() -> None:
     platform = RayPlatform(config, "run")
     names = [f"actor-{index}" for index in range(int(sys.argv[1]))]
     processes = [
-        platform.start(WarningProcess, name, dump_config(config), "run", name, None, place=Place()) for name in names
+        platform.start(WarningProcess, name, dump_config(config), "run", name, False, place=Place()) for name in names
     ]
     for process in processes:
         process.call("warn").result(60)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -22,7 +23,7 @@ from giirl_core.processes import open_files
 from giirl_core.types import Episode
 from reward_service.process import RewardProcess
 from tests.giirl.small import config, run
-from tests.thread_platform import ThreadPlatform
+from tests.thread_platform import ThreadCall, ThreadPlatform, ThreadProcess
 
 LOCK_STEP = ("runtime=local", "stream.policy_lag=0", "stream.reward_lag=0", "actors.tabs=2")
 FEW = ("iterations=3", "evaluate.episodes=1", "evaluate.random_episodes=1")
@@ -82,15 +83,49 @@ def test_actors_are_added_and_removed_during_a_run(
     assert admitted == counts  # every episode is accounted for
 
 
+def test_on_a_cluster_connections_are_encrypted_and_no_secret_key_leaves_its_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    carried: list[object] = []  # everything that Ray would carry, in both directions
+
+    def call(self: ThreadProcess, method: str, *values: object) -> ThreadCall:
+        made = ThreadCall(getattr(self._worker, method), values)
+        carried.extend(values)
+        if method == "addresses":
+            carried.append(made.result(20.0))
+        return made
+
+    def start(self: ThreadPlatform, kind: type[Any], name: str, *values: object, **place: object) -> ThreadProcess:
+        carried.extend(values)
+        return ThreadProcess(kind(*values))
+
+    def open_runtime(config: Any, folder: Any, metrics: Any, stop: Any, resume: Any, save: Any) -> WorkersRuntime:
+        platform = ThreadPlatform(single_node=False)
+        return WorkersRuntime(config, folder, platform, metrics, stop, resume, save)
+
+    monkeypatch.setattr(ThreadProcess, "call", call)
+    monkeypatch.setattr(ThreadPlatform, "start", start)
+    monkeypatch.setattr(giirl_run, "open_runtime", open_runtime)
+    result = run(tmp_path / "run", "runtime=local", *FEW, "scoring.replicas=2", "actors.count=2")
+    assert result["flow"]["service_reward_share"] > 0
+    public, secret = (tmp_path / "run/keys").read_text().split()
+    sent = repr(carried)
+    assert public in sent
+    assert secret not in sent
+    assert "Keys(" not in sent
+    assert list((tmp_path / f"giirl-{os.getuid()}").iterdir()) == []  # the counts are deleted at the end
+
+
 def test_rejoin_returns_from_an_idle_reward_service_and_waits_for_a_serving_one(tmp_path: Path) -> None:
-    service = RewardProcess(dump_config(config(tmp_path)), "run", "reward-service-0", None)
+    service = RewardProcess(dump_config(config(tmp_path)), "run", "reward-service-0", encrypted=False)
     service.addresses()
     first, second = (
         serialise_net(build_reward(config(tmp_path)).net, 1),
         serialise_net(build_reward(config(tmp_path)).net, 0),
     )
-    service.rejoin(first)  # returns at once: the caller has to call run
-    threads = [Thread(target=service.run, args=(first,)), Thread(target=service.rejoin, args=(second,))]
+    service.rejoin(first, ())  # returns at once: the caller has to call run
+    threads = [Thread(target=service.run, args=(first, ())), Thread(target=service.rejoin, args=(second, ()))]
     threads[0].start()
     while not service._running:
         time.sleep(0.01)

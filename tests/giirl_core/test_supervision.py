@@ -85,7 +85,7 @@ class Harness:
         self.starts += 1
         return self.process
 
-    def start_run(self, process: Process) -> Call:
+    def start_run(self, process: Process, addresses: tuple[str, str]) -> Call:
         self.runs.append(self.starts)
         self.run = FakeCall(pending=True)
         return self.run

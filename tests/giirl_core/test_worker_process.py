@@ -48,7 +48,7 @@ class LeavingActor(ActorProcess):
 class LeavingService(RewardProcess):
     def __init__(self, config: str) -> None:
         self.left = Event()
-        super().__init__(config, "run", "reward-service-0", None)
+        super().__init__(config, "run", "reward-service-0", encrypted=False)
 
     def leave(self) -> None:
         self.left.set()
@@ -77,7 +77,7 @@ def until(condition: Callable[[], bool]) -> None:
 
 
 def test_a_process_that_no_learner_ever_calls_leaves(clock: Clock, tmp_path: Path) -> None:
-    actor = LeavingActor(settings(tmp_path), "run", 0, tmp_path, None)
+    actor = LeavingActor(settings(tmp_path), "run", 0, tmp_path, False)
     clock.ahead_s += SHORT_S - 2
     assert not actor.left.wait(0.2)
     clock.ahead_s += 3
@@ -85,7 +85,7 @@ def test_a_process_that_no_learner_ever_calls_leaves(clock: Clock, tmp_path: Pat
 
 
 def test_each_call_of_the_learner_is_a_sign_of_life(clock: Clock, tmp_path: Path) -> None:
-    actor = LeavingActor(settings(tmp_path), "run", 0, tmp_path, None)
+    actor = LeavingActor(settings(tmp_path), "run", 0, tmp_path, False)
     weights = policy(tmp_path)
     calls = (
         actor.ping,
@@ -104,7 +104,7 @@ def test_each_call_of_the_learner_is_a_sign_of_life(clock: Clock, tmp_path: Path
 def test_a_reward_service_that_serves_leaves_when_its_learner_is_silent(clock: Clock, tmp_path: Path) -> None:
     service = LeavingService(settings(tmp_path))
     service.addresses()
-    serving = Thread(target=service.run, args=(serialise_net(build_reward(config(tmp_path)).net, 0),))
+    serving = Thread(target=service.run, args=(serialise_net(build_reward(config(tmp_path)).net, 0), ()))
     serving.start()
     until(lambda: service._running)
     clock.ahead_s += SHORT_S + 1
@@ -118,7 +118,7 @@ def test_an_actor_that_waits_for_credits_of_a_dead_learner_leaves(
     clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("actors.uplink.time", clock)
-    actor = LeavingActor(settings(tmp_path), "run", 0, tmp_path, None)
+    actor = LeavingActor(settings(tmp_path), "run", 0, tmp_path, False)
     nobody = "127.0.0.1:9"
     playing = Thread(target=actor.run, args=(1, 0, nobody, (), policy(tmp_path)))
     playing.start()
@@ -131,7 +131,7 @@ def test_an_actor_that_waits_for_credits_of_a_dead_learner_leaves(
 
 def test_a_process_that_was_stopped_leaves_soon_if_the_learner_does_not_end_it(clock: Clock, tmp_path: Path) -> None:
     long = replace(config(tmp_path), actors=replace(config(tmp_path).actors, orphan_timeout_s=3600.0))
-    actor = LeavingActor(dump_config(long), "run", 0, tmp_path, None)
+    actor = LeavingActor(dump_config(long), "run", 0, tmp_path, False)
     actor.stop(0.0)
     clock.ahead_s += worker_process.STOPPED_TIMEOUT_S - 2
     assert not actor.left.wait(0.2)
