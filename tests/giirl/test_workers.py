@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from threading import Thread
+from threading import Thread, current_thread, main_thread
 from typing import Any
 
 import pytest
@@ -143,6 +143,21 @@ def test_the_reward_service_module_imports_neither_torch_nor_the_packages_of_act
     loaded = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True, timeout=60).stdout
     assert not {"torch", "actors", "browser_farm", "learner"} & set(loaded.split())
     assert "reward_service" in loaded.split()
+
+
+def test_a_learner_that_waits_for_episodes_is_alive(
+    runtimes: list[WorkersRuntime], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    beats: list[Thread] = []
+    monkeypatch.setattr("giirl.run.workers.Ingest.take", lambda self, episodes, timeout_s: waited(timeout_s))
+    monkeypatch.setattr("giirl_core.telemetry.health.Health.beat", lambda self: beats.append(current_thread()))
+
+    def waited(timeout_s: float) -> list[Episode]:
+        raise TimeoutError
+
+    with pytest.raises(RuntimeError, match="fewer than 8 episodes came"):
+        run(tmp_path / "run", "runtime=local", *FEW, "stream.take_timeout_s=0.2", "actors.count=1")
+    assert beats.count(main_thread()) > 1  # the others are of the actor and of the reward service
 
 
 def test_more_actors_than_open_files_allow_are_refused_while_the_run_goes_on(
