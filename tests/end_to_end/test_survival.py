@@ -64,7 +64,7 @@ def test_the_result_has_success_rates_with_intervals_and_the_random_baseline(sur
 
 def test_a_run_prints_its_result_as_a_table(survival: Survival) -> None:
     for task, row in read_json(survival.run / "result.json")["tasks"].items():
-        line = next(line for line in reversed(survival.output.splitlines()) if f" {task} " in line)
+        line = next(line for line in survival.output.splitlines() if "│" in line and f" {task} " in line)
         assert f" {100 * row['success']:.1f} " in line
         assert f" {100 * row['random']:.1f} " in line
 
