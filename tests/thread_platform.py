@@ -59,7 +59,9 @@ class ThreadPlatform:
     def __init__(self, *, single_node: bool = True) -> None:
         self.single_node = single_node
 
-    def start(self, kind: type[Any], name: str, *values: Any, place: Place, threads: int = 0) -> ThreadProcess:
+    def start(
+        self, kind: type[Any], name: str, *values: Any, place: Place, threads: int = 0, detached: bool = True
+    ) -> ThreadProcess:
         return ThreadProcess(kind(*values))
 
     def share(self, value: Any) -> Any:

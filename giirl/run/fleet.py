@@ -10,6 +10,7 @@ from itertools import product
 from typing import Any
 
 from actors.episode_counter import counter_file, read_counts
+from actors.pool import actor_place
 from actors.process import ActorProcess
 from giirl.run.folder import RunFolder
 from giirl_core.algorithms import ALGORITHMS
@@ -276,10 +277,9 @@ class Fleet:
 
 def places(config: Config) -> dict[str, Place]:
     """What a process asks of its node, by kind."""
-    actors, scoring = config.actors, config.scoring
-    resources = {"chrome": actors.chrome} if actors.chrome else {}
+    scoring = config.scoring
     return {
-        "actor": Place(cpus=actors.cpus, memory_bytes=round(actors.memory_mb * 1e6), resources=resources),
+        "actor": actor_place(config),
         "reward-service": Place(cpus=scoring.cpus, memory_bytes=round(scoring.memory_mb * 1e6), apart=True),
     }
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 
+from actors.pool import player_for
 from giirl.run.demonstrations import collect_demonstrations
 from giirl.run.evaluate import evaluate
 from giirl.run.folder import RunFolder
@@ -52,11 +53,12 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
     if config.runtime != "serial":
         raise_open_files(folder.wanted_actors() or config.actors.count)
     own = metrics.serve(config.metrics.host, config.metrics.port)
+    open_player = player_for(config, folder.identity)
     try:
         clear_dead_targets(folder.path.parent)
         if resume is None:
             metrics.enter("demonstrations")
-            folder.save_demonstrations(collect_demonstrations(config, metrics, display))
+            folder.save_demonstrations(collect_demonstrations(config, metrics, display, open_player))
         demonstrations = [episode.trajectory for episode in folder.load_demonstrations()]
         learner = Learner(config, demonstrations, metrics)
         if resume is not None:
@@ -70,7 +72,7 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
             session.learn(resume)
         policy, _ = learner.weights()
         metrics.enter("evaluation")
-        tasks = evaluate(config, policy, metrics, display)
+        tasks = evaluate(config, policy, metrics, display, open_player)
     finally:
         metrics.close()
     return {

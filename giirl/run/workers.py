@@ -103,7 +103,7 @@ class WorkersRuntime:
                 if time.monotonic() > deadline_s:
                     raise RuntimeError(
                         f"fewer than {episodes} episodes came within {timeout_s:.0f} s (stream.take_timeout_s): "
-                        f"{error}{self._fleet.describe_trouble()}"
+                        f"{str(error).partition(': ')[2]}{self._fleet.describe_trouble()}"
                     ) from None
             else:
                 self._taken += len(taken)

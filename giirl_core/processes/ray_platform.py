@@ -10,13 +10,12 @@ import logging
 import os
 import secrets
 import signal
-import threading
+import socket
 import time
 from collections import Counter
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from typing import Any
-from weakref import WeakSet
 
 import ray
 from ray.exceptions import RayError
@@ -25,19 +24,18 @@ from tenacity import retry, retry_if_exception, stop_after_attempt
 
 from giirl_core.config import Config
 from giirl_core.processes.code_version import code_version
+from giirl_core.processes.shared_requests import PendingActors, UnfinishedCalls
 from giirl_core.processes.supervision import Place, ProcessDied
 
 NAMESPACE = "giirl"
 RESULT_GRACE_S = 10.0  # added to every timeout, for Ray to fetch the result
 START_ATTEMPTS = 3  # on a busy machine a node can need longer than the 30 s that Ray waits
 DEATH_INFO_TIMEOUT_MS = 100  # how long Ray waits to learn whether a process died or is unreachable; its default is 1 s
-DONE_POLL_S = 0.02  # between two requests which calls have returned
-PENDING_POLL_S = 1.0  # between two requests for the list of actors without a place
 DEAD_S = 30.0  # `giirl clean` takes a learner for dead that its processes have not heard of for this long
+CONNECT_TIMEOUT_S = 3.0  # to the head of a cluster
 ANSWER_TIMEOUT_S = 5.0  # for processes that `giirl clean` asks
 QUIET: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
-# What the workers of a run write, which is their warnings, is printed: once, and then how often it came again.
-LOGGED = {**QUIET, "log_to_driver": True}
+LOGGED = {**QUIET, "log_to_driver": True}  # warnings of the workers: each once, and then how often it came again
 THREADS = 16  # of one process: one runs the main loop, the others serve calls
 
 
@@ -55,7 +53,7 @@ class _RayMixin:
 class RayCall:
     """A method call in progress in a Ray actor."""
 
-    def __init__(self, ref: Any, unfinished: _UnfinishedCalls) -> None:
+    def __init__(self, ref: Any, unfinished: UnfinishedCalls) -> None:
         self.ref, self._unfinished = ref, unfinished
         unfinished.add(self)
 
@@ -70,32 +68,10 @@ class RayCall:
             raise ProcessDied(lines[-1] if lines else type(error).__name__) from None
 
 
-class _UnfinishedCalls:
-    """The calls whose results have not come: one request for all of them, every DONE_POLL_S. Thread-safe."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._calls: WeakSet[RayCall] = WeakSet()
-        self._asked_s = float("-inf")
-
-    def add(self, call: RayCall) -> None:
-        with self._lock:
-            self._calls.add(call)
-
-    def is_done(self, call: RayCall) -> bool:
-        with self._lock:
-            if call in self._calls and time.monotonic() - self._asked_s > DONE_POLL_S:
-                calls = {other.ref: other for other in self._calls}
-                for ref in ray.wait(list(calls), num_returns=len(calls), timeout=0, fetch_local=False)[0]:
-                    self._calls.discard(calls[ref])
-                self._asked_s = time.monotonic()
-            return call not in self._calls
-
-
 class RayProcess:
     """A Ray actor. It is never restarted, so that what an earlier learner left behind cannot come back."""
 
-    def __init__(self, handle: Any, pending: _PendingActors, unfinished: _UnfinishedCalls, *, reattached: bool) -> None:
+    def __init__(self, handle: Any, pending: PendingActors, unfinished: UnfinishedCalls, *, reattached: bool) -> None:
         self._handle, self._pending, self._unfinished, self.reattached = handle, pending, unfinished, reattached
         self._created_s, self._placed = time.monotonic(), False
 
@@ -108,22 +84,6 @@ class RayProcess:
 
     def kill(self) -> None:
         ray.kill(self._handle)
-
-
-class _PendingActors:
-    """The Ray actors for which no node has room yet: one request for all of them, every PENDING_POLL_S."""
-
-    def __init__(self) -> None:
-        self._ids: frozenset[str] = frozenset()
-        self._asked_s = float("-inf")
-
-    def has(self, actor_id: str, created_s: float) -> bool:
-        """Whether an actor is among them; also if the list may be older than the actor, created at this time."""
-        if time.monotonic() - self._asked_s > PENDING_POLL_S:
-            self._asked_s = time.monotonic()
-            table = ray._private.state.state.actor_table(None, actor_state_name="PENDING_CREATION")
-            self._ids = frozenset(key for key, info in table.items() if not info["Pid"])
-        return actor_id in self._ids or self._asked_s < created_s + PENDING_POLL_S
 
 
 class RayPlatform:
@@ -145,12 +105,20 @@ class RayPlatform:
         signal.signal(signal.SIGTERM, sigterm_handler)  # Ray installs its own, which would end a run unsaved
         self.node = _node_ip()
         self.host = "127.0.0.1" if self.single_node else self.node
-        self._pending, self._unfinished = _PendingActors(), _UnfinishedCalls()
+        self._pending, self._unfinished = PendingActors(_pending), UnfinishedCalls(_finished)
         self._code = code_version()
         self._handles: dict[str, Any] = {}  # the newest of each name
         self._left = {} if self.single_node else self._find_left()
 
-    def start(self, kind: type[Any], name: str, *values: Any, place: Place, threads: int = THREADS) -> RayProcess:
+    def start(
+        self,
+        kind: type[Any],
+        name: str,
+        *values: Any,
+        place: Place,
+        threads: int = THREADS,
+        detached: bool = True,
+    ) -> RayProcess:
         left = self._left.pop(name, None)
         if left is not None:
             self._handles[name] = left
@@ -164,10 +132,10 @@ class RayPlatform:
                 "memory": place.memory_bytes or None,
                 "resources": dict(place.resources),
                 "scheduling_strategy": self._node_apart(name) if place.apart else "SPREAD",
-                "name": f"{self._run}/{name}/{self._code}/{secrets.token_hex(4)}",
-                "namespace": NAMESPACE,
-                "lifetime": "detached",
             }
+            if detached:
+                full_name = f"{self._run}/{name}/{self._code}/{secrets.token_hex(4)}"
+                options |= {"name": full_name, "namespace": NAMESPACE, "lifetime": "detached"}
         handle: Any = ray.remote(actor_class).options(**options).remote(*values)
         self._handles[name] = handle
         return RayProcess(handle, self._pending, self._unfinished, reattached=False)
@@ -180,9 +148,14 @@ class RayPlatform:
         nodes = sum(node["Alive"] for node in ray.nodes())  # type: ignore[no-untyped-call]
         return f"{_free_of(free, there)} on {nodes} node{'s' if nodes != 1 else ''}"
 
-    def close(self) -> None:
-        for handle in self._left.values():  # of an earlier session with more processes than this one
+    def end_left(self) -> None:
+        """Kill the processes of an earlier session that this one has not taken over."""
+        for handle in self._left.values():
             ray.kill(handle)
+        self._left.clear()
+
+    def close(self) -> None:
+        self.end_left()
         ray.shutdown()
 
     def _node_apart(self, name: str) -> Any:
@@ -228,10 +201,9 @@ def kill_left(runs: Collection[str], *, dry_run: bool) -> list[str]:
 
     Returns their names. A run is dead when none of its processes has heard of its learner for DEAD_S.
     """
-    try:
-        _join()
-    except ConnectionError:  # there is no cluster
+    if not _cluster_answers():
         return []
+    _join()
     try:
         found: dict[str, dict[str, Any]] = {}
         for name in ray.util.list_named_actors():
@@ -286,6 +258,22 @@ def _init(config: Config) -> None:
     )
 
 
+def _cluster_answers() -> bool:
+    """Whether this machine was started as a node of a cluster whose head answers.
+
+    Without this check Ray would wait for minutes, or find the Ray of another run on this machine.
+    """
+    address = os.environ.get("RAY_ADDRESS") or ray._private.services.find_bootstrap_address(None)
+    if not address or address.startswith("http"):
+        return bool(address)  # `_join` refuses the address of a dashboard
+    host, _, port = address.rpartition(":")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=CONNECT_TIMEOUT_S).close()
+    except (OSError, ValueError):
+        return False
+    return True
+
+
 def _join(logs: Mapping[str, Any] = QUIET) -> None:
     """Join the cluster that this machine belongs to. ConnectionError if it belongs to none."""
     if os.environ.get("RAY_ADDRESS", "").startswith("http"):
@@ -294,6 +282,16 @@ def _join(logs: Mapping[str, Any] = QUIET) -> None:
             "submit this command with `ray job submit`, or unset RAY_ADDRESS on a node of the cluster"
         )
     ray.init(address="auto", namespace=NAMESPACE, **logs)
+
+
+def _pending() -> frozenset[str]:
+    table = ray._private.state.state.actor_table(None, actor_state_name="PENDING_CREATION")
+    return frozenset(key for key, info in table.items() if not info["Pid"])
+
+
+def _finished(refs: list[Any]) -> list[Any]:
+    done: list[Any] = ray.wait(refs, num_returns=len(refs), timeout=0, fetch_local=False)[0]
+    return done
 
 
 def _node_ip() -> str:

@@ -76,7 +76,10 @@ class Platform(Protocol):
     node: str  # address of this machine, as other machines see it
     single_node: bool  # all processes run on this machine and end with this process
 
-    def start(self, kind: type[Any], name: str, *values: Any, place: Place, threads: int = ...) -> Process: ...
+    # A process that is not `detached` ends with this one, also on a cluster.
+    def start(
+        self, kind: type[Any], name: str, *values: Any, place: Place, threads: int = ..., detached: bool = ...
+    ) -> Process: ...
 
     def share(self, value: Any) -> Any: ...  # returns a handle that many calls can carry cheaply
 

@@ -111,18 +111,31 @@ class Site:
             assert now_s - last_s < START_S, command.err
         return longest_s
 
-    def unaccounted(self) -> int:
-        """Episodes that the actors of the newest checkpoint finished and that it neither trained on nor dropped."""
+    def stop(self, command: Command) -> int:
+        """End the run as a job is stopped; returns how many episodes are then unaccounted for.
+
+        Those are episodes that an actor has counted, and that the checkpoint neither trained on, nor queued, nor
+        dropped. The actors delete their counts at the end, so the files are linked before.
+        """
+        identity, links = (self.run / "identity").read_text(), short_folder()
+        for name, machine in self.machines.items():
+            for path in machine.temporary.glob(f"giirl-*/{identity}/actor-*.count"):
+                (links / f"{path.stem}@{name}").hardlink_to(path)
+        send(command, signal.SIGTERM)
+        assert command.wait() == 130, command.err
+        assert "stopped and saved" in command.err
+        left = [p for machine in self.machines.values() for p in machine.temporary.glob(f"giirl-*/{identity}/*")]
+        assert left == []
         snapshot = IngestSnapshot.load(latest_checkpoint(self.run / "checkpoints"))
-        counts, taken = dict(snapshot.counts), curve(self.run)[-1]["episodes"]
-        assert counts["taken"] == taken, (counts, taken)
-        identity = (self.run / "identity").read_text()
-        missing = 0
+        assert snapshot.counts["taken"] == curve(self.run)[-1]["episodes"]
+        missing = counted = 0
         for offsets in snapshot.offsets:
-            for machine in self.machines.values():
-                for path in machine.temporary.glob(f"giirl-*/{identity}/{offsets.actor}.count"):
-                    finished = dict(read_counts(path)).get(offsets.incarnation, 0)
-                    missing += max(0, finished - offsets.low_watermark - len(offsets.acked))
+            for link in links.glob(f"{offsets.actor}@*"):
+                finished = dict(read_counts(link)).get(offsets.incarnation, 0)
+                counted += finished
+                missing += max(0, finished - offsets.low_watermark - len(offsets.acked))
+        assert counted
+        shutil.rmtree(links)
         return missing
 
     def actors(self) -> set[str]:

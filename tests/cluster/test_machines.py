@@ -51,9 +51,8 @@ def test_a_job_that_is_killed_at_random_moments_goes_on_with_the_same_command(fu
                 reached.append(step(place.run))
         with place.train("checkpoint_every=5") as command:
             place.until_step(command, max(reached) + 20)
-            stop(place, command)
-        note(kills=kills, steps_at_each_kill=reached)
-        assert place.unaccounted() == 0
+            note(kills=kills, steps_at_each_kill=reached)
+            assert place.stop(command) == 0
         assert [point["step"] for point in curve(place.run)] == list(range(1, step(place.run) + 1))
 
 
@@ -104,15 +103,7 @@ def the_learner_comes_back(place: Site) -> None:
         since_s = time.monotonic()
         place.until_step(command, before + 20)
         note(back_after_the_learner_node_was_cut_s=time.monotonic() - since_s)
-        stop(place, command)
-    assert place.unaccounted() == 0
-
-
-def stop(place: Site, command: Command) -> None:
-    """End the run as a job is stopped."""
-    send(command, signal.SIGTERM)
-    assert command.wait() == 130, command.err
-    assert "stopped and saved" in command.err
+        assert place.stop(command) == 0
 
 
 def note(**measured: object) -> None:

@@ -31,6 +31,7 @@ evaluate = {episodes = 4, random_episodes = 4}
 @pytest.fixture(scope="module")
 def folder() -> Iterator[Path]:
     with run_folder() as run:
+        (run.parent / "tiny.toml").write_text(TINY)
         yield run.parent
 
 
@@ -75,9 +76,7 @@ def saved(run: Path) -> int:
 
 
 def test_a_submitted_job_trains_and_writes_its_result_to_the_given_folder(cluster: Cluster, folder: Path) -> None:
-    config = folder / "tiny.toml"
-    config.write_text(TINY)
-    with cluster.submit(config, f"run={folder / 'run'}") as job:
+    with cluster.submit(folder / "tiny.toml", f"run={folder / 'run'}") as job:
         status = job.wait(timeout_s=150)
         assert status == 0, job.output
     assert step(folder / "run") == 4
@@ -113,13 +112,34 @@ def test_a_run_waits_for_a_free_cpu_and_says_what_it_needs(cluster: Cluster, fol
     with all_cpus_taken(cluster.driver) as hog, Command(*words, env=cluster.driver) as command:
         command.until(lambda: "for a place" in command.err, "a line that says what is missing")
         line = next(line for line in command.err.splitlines() if "for a place" in line)
-        assert "actor-0 asks for 1 CPU, 1000 MB of memory, free are 0 of 2 CPU" in line
+        assert "player-0 asks for 1 CPU, 1000 MB of memory, free are 0 of 2 CPU" in line
         time.sleep(25)  # longer than take_timeout_s
         assert command.process.poll() is None, command.err
         assert step(run) == 0
         hog.process.kill()
         command.until(lambda: step(run) > 0, "first iteration", timeout_s=60)
         assert command.wait() == 0, command.err
+
+
+def test_giirl_clean_removes_what_a_killed_learner_left(cluster: Cluster, folder: Path) -> None:
+    run = folder / "killed"
+    words = ("train", str(folder / "tiny.toml"), "runtime=ray", f"run={run}", "iterations=100000")
+    with Command(*words, env=cluster.driver) as command:
+        command.until(lambda: step(run) > 1, "first iterations", timeout_s=150)
+        with Command("status", run, env=cluster.driver) as status:
+            assert status.wait() == 0, status.err
+            assert status.out.startswith(f"{run}: training; iteration ")
+            assert "actor           1 running" in status.out
+        with Command("clean", run, env=cluster.driver) as clean:
+            assert clean.wait() == 1
+            assert f"{run} is under way: giirl stop {run} first" in clean.err
+        command.process.kill()
+        command.process.wait()
+    assert len(cluster.left(run)) > 3
+    with Command("clean", run, env=cluster.driver) as clean:
+        assert clean.wait() == 0, clean.err
+        assert "removed " in clean.err
+    cluster.head.until(lambda: cluster.left(run) == [], "an empty cluster")
 
 
 def test_a_job_with_an_unknown_setting_fails_with_an_error_message(cluster: Cluster, folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -14,13 +15,16 @@ import pytest
 
 import giirl.run.train as giirl_run
 from actors.episode_counter import read_counts
+from giirl.run.fleet import Fleet
 from giirl.run.folder import RunFolder
 from giirl.run.workers import WorkersRuntime
+from giirl.signals import Stopped
 from giirl_core.config_file import dump_config
 from giirl_core.nets.parameters import serialise_net
 from giirl_core.nets.reward import build_reward
 from giirl_core.processes import open_files
 from giirl_core.types import Episode
+from learner.checkpoint import save_checkpoint
 from reward_service.process import RewardProcess
 from tests.giirl.small import config, run
 from tests.thread_platform import ThreadCall, ThreadPlatform, ThreadProcess
@@ -81,6 +85,73 @@ def test_actors_are_added_and_removed_during_a_run(
     counts = {name: read_counts(tmp_path / "run/actors" / f"{name}.count")[-1] for name in offsets}
     admitted = {name: (actor.incarnation, actor.low_watermark) for name, actor in offsets.items()}
     assert admitted == counts  # every episode is accounted for
+
+
+def test_a_run_that_is_asked_to_stop_saves_before_it_waits_for_anybody(
+    runtimes: list[WorkersRuntime], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    events: list[str] = []
+    take, save, drain = WorkersRuntime.take, save_checkpoint, Fleet.drain
+
+    def stopping(self: WorkersRuntime, episodes: int) -> list[Episode]:
+        events.append("take")
+        if events.count("take") == 3:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return take(self, episodes)
+
+    def saving(folder: Path, step: int, *values: Any, **named: Any) -> Path:
+        events.append(f"save {step}")
+        return save(folder, step, *values, **named)
+
+    def draining(self: Fleet) -> None:
+        events.append("drain")
+        drain(self)
+
+    monkeypatch.setattr(WorkersRuntime, "take", stopping)
+    monkeypatch.setattr(giirl_run, "save_checkpoint", saving)
+    monkeypatch.setattr(Fleet, "drain", draining)
+    with pytest.raises(Stopped):
+        run(tmp_path / "run", "runtime=local", "iterations=100", "checkpoint_every=100")
+    assert events[events.index("take") :] == ["take", "take", "take", "save 2", "drain", "save 2", "drain"]
+
+
+def test_a_run_waits_for_a_place_longer_than_for_episodes_and_says_so_once(
+    runtimes: list[WorkersRuntime],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    begun_s = time.monotonic()
+    start = ThreadPlatform.start
+
+    def full() -> bool:
+        return time.monotonic() < begun_s + 5
+
+    class Waiting(ThreadCall):
+        def done(self) -> bool:
+            return not full() and super().done()
+
+    class WaitingProcess(ThreadProcess):
+        def placed(self) -> bool:
+            return not full()
+
+        def call(self, method: str, *values: Any) -> ThreadCall:
+            return Waiting(getattr(self._worker, method), values)
+
+    def start_waiting(self: ThreadPlatform, kind: type[Any], name: str, *values: Any, **how: Any) -> ThreadProcess:
+        if name.startswith("actor"):
+            return WaitingProcess(kind(*values))
+        return start(self, kind, name, *values, **how)
+
+    monkeypatch.setattr(ThreadPlatform, "start", start_waiting)
+    monkeypatch.setattr("giirl_core.processes.waiting.PATIENCE_S", 1.0)
+    run(tmp_path / "run", "runtime=local", *FEW, "stream.take_timeout_s=2", "actors.count=2", "actors.chrome=1")
+    assert time.monotonic() > begun_s + 5
+    said = [record.message for record in caplog.records if "place" in record.message]
+    assert len(said) == 2
+    assert said[0].startswith("actor-0 and 1 more of 3 processes waited ")
+    assert "actor-0 asks for 1 CPU, 1000 MB of memory, 1 chrome, free are threads; add a node" in said[0]
+    assert said[1].startswith("all processes have a place")
 
 
 def test_on_a_cluster_connections_are_encrypted_and_no_secret_key_leaves_its_process(

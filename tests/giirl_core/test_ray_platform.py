@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import socket
+from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,6 +13,7 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 from giirl_core.processes import ray_platform
 from giirl_core.processes.code_version import code_version
 from giirl_core.processes.ray_platform import RayPlatform, RayProcess, kill_left
+from giirl_core.processes.shared_requests import PENDING_POLL_S
 from giirl_core.processes.supervision import Place
 
 
@@ -34,7 +37,10 @@ class FakeRay:
         self.nodes_up = [self._node(name) for name in ("n1", "n2", "n3")]
         self.dead_jobs = {"01"}
         state = SimpleNamespace(actor_table=self.actor_table, job_table=self.job_table)
-        self._private = SimpleNamespace(state=SimpleNamespace(state=state))
+        self.head = socket.create_server(("127.0.0.1", 0))
+        self.address: str | None = f"127.0.0.1:{self.head.getsockname()[1]}"
+        services = SimpleNamespace(find_bootstrap_address=lambda folder: self.address)
+        self._private = SimpleNamespace(state=SimpleNamespace(state=state), services=services)
         self.util = SimpleNamespace(list_named_actors=lambda: list(self.actors), get_node_ip_address=lambda: "10.0.0.1")
         self.ObjectRef = str
 
@@ -95,11 +101,12 @@ class FakeRay:
 
 
 @pytest.fixture
-def cluster(monkeypatch: pytest.MonkeyPatch) -> FakeRay:
+def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeRay]:
     fake = FakeRay()
     monkeypatch.setattr(ray_platform, "ray", fake)
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
-    return fake
+    with fake.head:
+        yield fake
 
 
 def platform(run: str = "mine-1") -> RayPlatform:
@@ -139,7 +146,7 @@ def test_a_process_has_a_place_when_ray_has_started_it(cluster: FakeRay, monkeyp
     for pid in (0, 0, 0, 7):
         cluster.actors[cluster.options[0]["name"]]["Pid"] = pid
         answers.append(process.placed())
-        now_s[0] += 2 * ray_platform.PENDING_POLL_S
+        now_s[0] += 2 * PENDING_POLL_S
     assert answers == [False, False, False, True]
 
 
@@ -176,6 +183,13 @@ def test_only_processes_whose_learner_is_gone_are_cleaned_up(cluster: FakeRay) -
     assert cluster.killed == []
     assert kill_left([], dry_run=False) == gone == sorted(cluster.killed)
     assert kill_left(["living"], dry_run=False) == ["living/actor-0/c/1"]
+
+
+@pytest.mark.parametrize("address", [None, "127.0.0.1:9"])
+def test_without_a_cluster_that_answers_there_is_nothing_to_clean_up(cluster: FakeRay, address: str | None) -> None:
+    cluster.add("dead/actor-0/c/1")
+    cluster.address = address
+    assert kill_left([], dry_run=False) == []
 
 
 def test_the_address_of_the_dashboard_is_refused_in_one_line(cluster: FakeRay, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,8 @@ from tests.giirl.small import config, run
 
 @pytest.fixture
 def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The temporary folder of this Unix user, empty."""
+    """The temporary folder of this Unix user, empty, on a machine that belongs to no cluster."""
+    monkeypatch.setattr("giirl.operate.clean._clean_cluster", lambda identities, dry_run: [])
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     return user_folder()
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
-import ray
 
-from giirl_core.processes import ray_platform
+from giirl_core.processes import shared_requests
 from giirl_core.processes.broadcast import Broadcast
-from giirl_core.processes.ray_platform import RayCall, _UnfinishedCalls
+from giirl_core.processes.shared_requests import UnfinishedCalls
 from tests.reward_service.serving import WAIT_S, until
 
 
@@ -107,21 +107,26 @@ def test_weights_that_cannot_be_sent_are_an_error_of_the_learner(broadcast: Broa
         broadcast.send(2, [])
 
 
-def test_one_request_to_ray_tells_of_all_calls_which_have_returned(monkeypatch: pytest.MonkeyPatch) -> None:
+@dataclass(slots=True, weakref_slot=True, eq=False)
+class NumberedCall:
+    ref: int
+
+
+def test_one_request_tells_of_all_calls_which_have_returned(monkeypatch: pytest.MonkeyPatch) -> None:
     requests: list[list[int]] = []
 
-    def wait(refs: list[int], **options: Any) -> tuple[list[int], list[int]]:
+    def odd(refs: list[int]) -> list[int]:
         requests.append(refs)
-        assert options["num_returns"] == len(refs)
-        return [ref for ref in refs if ref % 2], [ref for ref in refs if not ref % 2]
+        return [ref for ref in refs if ref % 2]
 
-    monkeypatch.setattr(ray, "wait", wait)
-    monkeypatch.setattr(ray_platform, "DONE_POLL_S", 3600.0)
-    unfinished = _UnfinishedCalls()
-    calls = [RayCall(ref, unfinished) for ref in range(1000)]
-    assert [call.done() for call in calls] == [bool(ref % 2) for ref in range(1000)]
+    monkeypatch.setattr(shared_requests, "DONE_POLL_S", 3600.0)
+    unfinished = UnfinishedCalls(odd)
+    calls = [NumberedCall(ref) for ref in range(1000)]
+    for call in calls:
+        unfinished.add(call)
+    assert [unfinished.is_done(call) for call in calls] == [bool(ref % 2) for ref in range(1000)]
     assert len(requests) == 1
-    monkeypatch.setattr(ray_platform, "DONE_POLL_S", -1.0)
-    del calls[100:]
-    assert not calls[0].done()
+    monkeypatch.setattr(shared_requests, "DONE_POLL_S", -1.0)
+    del calls[100:], call
+    assert not unfinished.is_done(calls[0])
     assert len(requests[1]) == 50  # neither those that returned nor those that nobody asks for
