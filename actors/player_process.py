@@ -10,6 +10,7 @@ from contextlib import closing
 from actors.browser import open_browser
 from actors.player import AgentSpec, BrowserPlayer
 from giirl_core.processes.worker_process import TICK_S, WorkerProcess
+from giirl_core.telemetry.series import ACTOR
 from giirl_core.types import Purpose
 from giirl_core.wire.messages import Stamp, encode_episode
 
@@ -19,10 +20,12 @@ NO_STAMP = Stamp(run="", actor="", incarnation=0, sequence=0)  # these episodes 
 class PlayerProcess(WorkerProcess):
     """`run` keeps the browser open and blocks its thread until `stop`; `play` is called from another thread."""
 
-    def __init__(self, config: str) -> None:
+    KIND = ACTOR
+
+    def __init__(self, config: str, run: str, name: str) -> None:
         self._player: BrowserPlayer | None = None
         self._playing = threading.Lock()
-        super().__init__(config, encrypted=False)  # last, because it starts threads
+        super().__init__(config, run, name, encrypted=False)  # last, because it starts threads
 
     def addresses(self) -> tuple[str, str]:
         """The address of the metrics, and "" because a player serves nothing else."""

@@ -43,7 +43,7 @@ def open_pool(config: Config, metrics: Metrics, *, run: str) -> Iterator[PagePoo
     platform = RayPlatform(config, run)
     platform.end_left()  # an earlier try died between training and evaluation: they would keep their places
     try:
-        with closing(PagePool(config, platform, metrics)) as pool:
+        with closing(PagePool(config, run, platform, metrics)) as pool:
             yield pool
     finally:
         platform.close()
@@ -83,12 +83,13 @@ def shares(first: int, pages: int, processes: int) -> list[Share]:
 class PagePool:
     """A player with as many processes as the run has actors. They end with this process."""
 
-    def __init__(self, config: Config, platform: Platform, metrics: Metrics) -> None:
+    def __init__(self, config: Config, run: str, platform: Platform, metrics: Metrics) -> None:
+        """`run` is the identity of the run."""
         place, timeout_s = actor_place(config), config.actors.place_timeout_s
 
         def member(index: int) -> SupervisedProcess:
             def start() -> Process:
-                values = (dump_config(config),)
+                values = (dump_config(config), run, f"player-{index}")
                 return platform.start(PlayerProcess, f"player-{index}", *values, place=place, detached=False)
 
             return SupervisedProcess(

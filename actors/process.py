@@ -18,6 +18,7 @@ from giirl_core.config import MAX_ACTORS
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.reward import build_policy
 from giirl_core.processes.worker_process import TICK_S, WorkerProcess
+from giirl_core.telemetry.series import ACTOR
 from giirl_core.types import Purpose
 from giirl_core.weights import Weights
 from giirl_core.wire.score_client import ScoreClient
@@ -26,15 +27,17 @@ from giirl_core.wire.score_client import ScoreClient
 class ActorProcess(WorkerProcess):
     """One actor. `run` blocks its thread until `stop`; the platform calls the other methods from other threads."""
 
+    KIND = ACTOR
+
     def __init__(self, config: str, run: str, index: int, folder: Path | None, encrypted: bool) -> None:
         """`folder` is where the actor counts its episodes; None is a temporary folder on the node that it runs on."""
-        self._run, self._index, self._name = run, index, f"actor-{index}"
-        self._counter_file = counter_file(folder, run, self._name)
+        name = f"actor-{index}"
+        self._index, self._counter_file = index, counter_file(folder, run, name)
         self._temporary = folder is None
         self._worker: Worker | None = None
         self._weights: Weights | None = None  # the newest
         self._scorers: tuple[str, ...] = ()
-        super().__init__(config, encrypted)  # last, because it starts threads
+        super().__init__(config, run, name, encrypted)  # last, because it starts threads
 
     def addresses(self) -> tuple[str, str]:
         """The address of the metrics, and the public key that this actor connects with; "" without encryption."""
@@ -96,9 +99,11 @@ class ActorProcess(WorkerProcess):
                 worker.load(self._weights)
             if self._stopped.is_set():
                 worker.stop(0.0)
+            metrics.health.ready()
             try:
                 worker.run()
             finally:
+                metrics.health.not_ready("its run has ended")
                 self._worker = None
 
     def rejoin(self, incarnation: int, first: int, learner: str, scorers: tuple[str, ...], weights: Weights) -> None:

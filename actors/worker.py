@@ -195,6 +195,7 @@ class Worker:
         if self._scorer is not None and not self._scorer.answering:  # the learner can compute what would come late
             for episode in self._scorer.cancel_pending():
                 self._submit_unscored(episode)
+        self._metrics.health.beat()
         self._uplink.idle_share = self._idle.update(1 - self._playing / self._places)
         self._uplink.poll()
 

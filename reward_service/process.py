@@ -10,6 +10,7 @@ import time
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from giirl_core.processes.worker_process import TICK_S, WorkerProcess
+from giirl_core.telemetry.series import SERVICE
 from giirl_core.weights import Weights
 from reward_service.service import RewardService, Scorer
 
@@ -17,9 +18,11 @@ from reward_service.service import RewardService, Scorer
 class RewardProcess(WorkerProcess):
     """One reward service. `run` blocks its thread until `stop`; other threads call the other methods."""
 
-    def __init__(self, config: str, encrypted: bool) -> None:
+    KIND = SERVICE
+
+    def __init__(self, config: str, run: str, name: str, encrypted: bool) -> None:
         self._service: RewardService | None = None
-        super().__init__(config, encrypted)  # last, because it starts threads
+        super().__init__(config, run, name, encrypted)  # last, because it starts threads
 
     def addresses(self) -> tuple[str, str]:
         """The addresses of the metrics and of the socket for score requests."""

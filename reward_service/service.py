@@ -120,6 +120,7 @@ class RewardService:
             raise
         self._loaded = _Loaded(version=weights.version, digest=weights.digest, score=score)
         self._metrics.reward_version.set(weights.version)
+        self._metrics.health.ready()
 
     def serve(self, stop: Callable[[], bool]) -> None:
         """Reply to requests until `stop` returns True, then release the port."""
@@ -127,10 +128,12 @@ class RewardService:
             while not stop():
                 self.serve_once(TICK_S)
         finally:
+            self._metrics.health.not_ready("it has stopped serving")
             self._router.close()
 
     def serve_once(self, timeout_s: float) -> None:
         """Wait for requests, then reply to one batch."""
+        self._metrics.health.beat()
         if (refusals := self._router.refusals) > self._refusals:
             self._metrics.connections_refused.labels("scoring").inc(refusals - self._refusals)
             self._refusals = refusals

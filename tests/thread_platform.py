@@ -54,7 +54,7 @@ class ThreadProcess:
 class ThreadPlatform:
     """With `single_node=False` processes behave as on a cluster: encrypted connections, temporary files."""
 
-    host = "127.0.0.1"
+    host = node = "127.0.0.1"
 
     def __init__(self, *, single_node: bool = True) -> None:
         self.single_node = single_node

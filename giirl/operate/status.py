@@ -13,8 +13,8 @@ from typing import Any
 
 from giirl.run.folder import RunFolder
 from giirl_core.files import is_locked
-from giirl_core.metrics import Samples, parse_samples
 from giirl_core.progress import duration
+from giirl_core.telemetry.series import Samples, parse_samples
 
 TIMEOUT_S = 0.7  # for the learner's answer
 DIRECT = urllib.request.build_opener(urllib.request.ProxyHandler({}))
@@ -77,7 +77,8 @@ def from_samples(run: str, samples: Samples) -> RunStatus:
     flow = _by(samples, "giirl_flow", "key")
     iteration, goal = int(_one(samples, "giirl_policy_version") or 0), _one(samples, "giirl_iterations_goal")
     rate, saved_s = flow.get("iterations_per_s"), _one(samples, "giirl_checkpoint_timestamp_seconds")
-    dropped = {**_by(samples, "giirl_trajectories_dropped_total", "reason")}
+    lost = _one(samples, "giirl_trajectories_lost_total") or 0.0
+    dropped = {**_by(samples, "giirl_trajectories_dropped_total", "reason"), "lost": lost}
     queued = _one(samples, "giirl_trajectories_queued")
     workers: dict[str, dict[str, int]] = {}
     for labels, value in samples.get("giirl_workers", []):

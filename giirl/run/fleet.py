@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any, get_args
+from itertools import product
+from typing import Any
 
 from actors.episode_counter import counter_file, read_counts
 from actors.pool import actor_place
@@ -15,11 +17,15 @@ from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.config_file import dump_config
 from giirl_core.metrics import Metrics
-from giirl_core.processes.supervision import START_TIMEOUT_S, Call, Place, Platform, Process, State, SupervisedProcess
+from giirl_core.processes.broadcast import Broadcast
+from giirl_core.processes.open_files import raise_open_files
+from giirl_core.processes.supervision import START_TIMEOUT_S, Call, Place, Platform, Process, SupervisedProcess
 from giirl_core.processes.waiting import WaitingNotice
+from giirl_core.telemetry.series import WORKER_STATES, WORKERS
 from learner.stream.ingest import Ingest
 from reward_service.process import RewardProcess
 
+LOG = logging.getLogger(__name__)
 POLL_S = 0.5  # between two checks of the processes
 STOP_TIMEOUT_S = 10.0  # for actors to send their finished episodes, and processes to end
 PING_S = 10.0  # between two signs of life to processes that hear nothing else
@@ -56,9 +62,11 @@ class Fleet:
         self._services: list[SupervisedProcess] = []
         self._actors: list[SupervisedProcess] = []
         self._surplus: list[tuple[SupervisedProcess, float]] = []  # actors that leave, with their deadlines
+        self._refused = 0  # actors that `giirl actors` asked for in vain
         self._places = places(config)
         # On a cluster each actor counts its episodes in a temporary folder on its node.
         self._counts = folder.actors.absolute() if platform.single_node else None
+        self._broadcast = Broadcast()  # of policy weights, to the actors
         self._clients: dict[str, str] = {}  # public key of each actor, by name
         self._scorers: list[str] = []
         self._polled_s = self._pinged_s = float("-inf")
@@ -81,8 +89,7 @@ class Fleet:
             self._services = [self._start_service(index) for index in range(self._replicas)]
         for service in self._services:
             service.load(reward)
-        for actor in self._actors:
-            actor.load(policy)
+        self._broadcast.send(policy, [actor.process for actor in self._actors if actor.running is not None])
         self.poll()
 
     def poll(self) -> None:
@@ -133,6 +140,7 @@ class Fleet:
 
     def stop(self) -> None:
         """Drain, end the reward services, and kill what has not ended in time."""
+        self._broadcast.close()
         self.drain()
         for service in self._services:
             service.stopping = True
@@ -154,7 +162,8 @@ class Fleet:
         return [*self._actors, *self._services, *(actor for actor, _ in self._surplus)]
 
     def _start_service(self, index: int) -> SupervisedProcess:
-        name, values = f"reward-service-{index}", (dump_config(self._config), self._encrypted)
+        name = f"reward-service-{index}"
+        values = (dump_config(self._config), self._folder.identity, name, self._encrypted)
 
         def start() -> Process:
             return self._platform.start(RewardProcess, name, *values, place=self._places["reward-service"])
@@ -215,7 +224,7 @@ class Fleet:
 
     def _resize(self) -> None:
         """Start or stop actors until there are as many as `giirl actors` asked for, or else the config."""
-        self._target = self._folder.wanted_actors() or self._target
+        self._target = self._affordable(self._folder.wanted_actors() or self._target)
         leaving = {actor.name for actor, _ in self._surplus}
         while len(self._actors) < self._target and f"actor-{len(self._actors)}" not in leaving:
             self._actors.append(self._start_actor(len(self._actors)))
@@ -230,11 +239,22 @@ class Fleet:
                 self._surplus.remove((actor, deadline_s))
                 self._retire(actor.name)
 
+    def _affordable(self, wanted: int) -> int:
+        """How many of the wanted actors to have: the present number if more would need too many open files."""
+        if wanted > self._target and wanted != self._refused:
+            try:
+                raise_open_files(wanted)
+            except ValueError as error:
+                LOG.error("the number of actors stays %d: %s", self._target, error)
+                self._refused = wanted
+        return self._target if wanted == self._refused else wanted
+
     def _count_workers(self) -> None:
-        for kind, members in (("actor", self._actors), ("reward-service", self._services)):
-            count = Counter(member.state for member in members)
-            for state in get_args(State):
-                self._metrics.workers.labels(kind, state).set(count[state])
+        """Show how many processes are in which state."""
+        members = [*self._services, *self._actors, *(actor for actor, _ in self._surplus)]
+        counts = Counter((member.kind, member.state) for member in members)
+        for kind, state in product(WORKERS, WORKER_STATES):
+            self._metrics.workers.labels(kind, state).set(counts[kind, state])
 
     def _ping(self) -> None:
         """Show the reward services that there is a learner; the actors hear its socket."""

@@ -18,12 +18,15 @@ from giirl_core.metrics import Metrics
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.parameters import load_net
 from giirl_core.nets.reward import build_policy, build_reward
+from giirl_core.telemetry.targets import node_address
 from giirl_core.types import Episode, Purpose
 from giirl_core.weights import Weights
 
 
 class Runtime(Protocol):
     """Plays and scores episodes: in this thread, in processes on this machine, or in a Ray cluster."""
+
+    node: str  # address of this machine, as other machines reach it
 
     def publish(self, policy: Weights, reward: Weights) -> None:
         """Use these weights from now on. The first call starts the actors."""
@@ -59,6 +62,7 @@ class SerialRuntime:
 
     def __init__(self, config: Config, metrics: Metrics, resume: Path | None) -> None:
         self._config, self._metrics = config, metrics
+        self.node = node_address()
         self._browser = open_browser(config, metrics)
         self._agent = PolicyAgent(
             build_policy(config), load_vectors(config.net.vectors), sampled_actions=config.sampled_actions

@@ -42,6 +42,7 @@ class WorkersRuntime:
         save: Callable[[], None],
     ) -> None:
         self._config, self._platform, self._stop, self._save_now = config, platform, stop, save
+        self.node, self._health = platform.node, metrics.health
         self._version = 0
         self._snapshot = IngestSnapshot.load(resume) if resume else IngestSnapshot()
         self._taken: int = json.loads((resume / RUNTIME_FILE).read_bytes())["taken"] if resume else 0
@@ -90,6 +91,7 @@ class WorkersRuntime:
         timeout_s = self._config.stream.take_timeout_s
         deadline_s = time.monotonic() + timeout_s
         while not self._stop.is_set():
+            self._health.beat()
             self._fleet.poll()
             if self._fleet.waits_for_place:
                 deadline_s = time.monotonic() + timeout_s

@@ -17,6 +17,7 @@ STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstring
 MAX_ACTORS = 1024  # the index of an actor is part of its page seeds
 
 Positive = Annotated[int, Field(ge=1)]
+Port = Annotated[int, Field(ge=0, le=65535)]
 Seconds = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Weight = Annotated[float, Field(ge=0)]
@@ -124,6 +125,8 @@ class MetricsConfig:
     """The Prometheus endpoint of each process."""
 
     host: str = "127.0.0.1"
-    """Address that every process listens on."""
-    port: Annotated[int, Field(ge=0, le=65535)] = 0
-    """Port of the learner; 0 takes any free one. The other processes always take a free one."""
+    """Address that every process listens on. 0.0.0.0 and :: are all addresses of its machine."""
+    port: Port = 0
+    """Port of the learner; 0 takes any free one."""
+    worker_port: Port = 0
+    """Actors and reward services take the first free port from here on; 0 takes any free one."""

@@ -27,6 +27,7 @@ from giirl_core.config import Config
 from giirl_core.config_file import dump_config
 from giirl_core.files import short_temporary_folder
 from giirl_core.processes.code_version import code_version
+from giirl_core.processes.shared_requests import PendingActors, UnfinishedCalls
 from giirl_core.processes.supervision import Place, ProcessDied
 from giirl_core.processes.waiting import describe_free
 
@@ -34,11 +35,11 @@ NAMESPACE = "giirl"
 RESULT_GRACE_S = 10.0  # added to every timeout, for Ray to fetch the result
 START_ATTEMPTS = 3  # on a busy machine a node can need longer than the 30 s that Ray waits
 DEATH_INFO_TIMEOUT_MS = 100  # how long Ray waits to learn whether a process died or is unreachable; its default is 1 s
-PENDING_POLL_S = 1.0  # between two requests for the list of actors without a place
 DEAD_S = 30.0  # `giirl clean` takes a learner for dead that its processes have not heard of for this long
 CONNECT_TIMEOUT_S = 3.0  # to the head of a cluster
 ANSWER_TIMEOUT_S = 5.0  # for processes that `giirl clean` asks
 QUIET: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
+LOGGED = {**QUIET, "log_to_driver": True}  # warnings of the workers: each once, and then how often it came again
 THREADS = 16  # of one process: one runs the main loop, the others serve calls
 
 
@@ -56,15 +57,16 @@ class _RayMixin:
 class RayCall:
     """A method call in progress in a Ray actor."""
 
-    def __init__(self, ref: Any) -> None:
-        self._ref = ref
+    def __init__(self, ref: Any, unfinished: UnfinishedCalls) -> None:
+        self.ref, self._unfinished = ref, unfinished
+        unfinished.add(self)
 
     def done(self) -> bool:
-        return bool(ray.wait([self._ref], timeout=0)[0])
+        return self._unfinished.is_done(self)
 
     def result(self, timeout_s: float) -> Any:
         try:
-            return ray.get(self._ref, timeout=timeout_s + RESULT_GRACE_S)
+            return ray.get(self.ref, timeout=timeout_s + RESULT_GRACE_S)
         except RayError as error:
             lines = [line.strip() for line in str(error).splitlines() if line.strip()]
             raise ProcessDied(lines[-1] if lines else type(error).__name__) from None
@@ -73,8 +75,8 @@ class RayCall:
 class RayProcess:
     """A Ray actor. It is never restarted, so that what an earlier learner left behind cannot come back."""
 
-    def __init__(self, handle: Any, pending: _PendingActors, *, reattached: bool) -> None:
-        self._handle, self._pending, self.reattached = handle, pending, reattached
+    def __init__(self, handle: Any, pending: PendingActors, unfinished: UnfinishedCalls, *, reattached: bool) -> None:
+        self._handle, self._pending, self._unfinished, self.reattached = handle, pending, unfinished, reattached
         self._created_s, self._placed = time.monotonic(), False
 
     def placed(self) -> bool:
@@ -82,26 +84,10 @@ class RayProcess:
         return self._placed
 
     def call(self, method: str, *values: Any) -> RayCall:
-        return RayCall(getattr(self._handle, method).remote(*values))
+        return RayCall(getattr(self._handle, method).remote(*values), self._unfinished)
 
     def kill(self) -> None:
         ray.kill(self._handle)
-
-
-class _PendingActors:
-    """The Ray actors for which no node has room yet: one request for all of them, every PENDING_POLL_S."""
-
-    def __init__(self) -> None:
-        self._ids: frozenset[str] = frozenset()
-        self._asked_s = float("-inf")
-
-    def has(self, actor_id: str, created_s: float) -> bool:
-        """Whether an actor is among them; also if the list may be older than the actor, created at this time."""
-        if time.monotonic() - self._asked_s > PENDING_POLL_S:
-            self._asked_s = time.monotonic()
-            table = ray._private.state.state.actor_table(None, actor_state_name="PENDING_CREATION")
-            self._ids = frozenset(key for key, info in table.items() if not info["Pid"])
-        return actor_id in self._ids or self._asked_s < created_s + PENDING_POLL_S
 
 
 class RayPlatform:
@@ -124,8 +110,9 @@ class RayPlatform:
         finally:
             signal.signal(signal.SIGTERM, sigterm_handler)  # Ray installs its own, which would end a run unsaved
             signal.signal(signal.SIGHUP, sighup_handler)
-        self.host = "127.0.0.1" if self.single_node else _node_ip()
-        self._pending = _PendingActors()
+        self.node = _node_ip()
+        self.host = "127.0.0.1" if self.single_node else self.node
+        self._pending, self._unfinished = PendingActors(_pending), UnfinishedCalls(_finished)
         # Processes with other code or other settings are not taken over.
         self._version = f"{code_version()}-{hashlib.sha256(dump_config(config).encode()).hexdigest()[:8]}"
         self._handles: dict[str, Any] = {}  # the newest of each name
@@ -143,7 +130,7 @@ class RayPlatform:
         left = self._left.pop(name, None)
         if left is not None:
             self._handles[name] = left
-            return RayProcess(left, self._pending, reattached=True)
+            return RayProcess(left, self._pending, self._unfinished, reattached=True)
         # Ray pickles this class by value but its bases by name, so a process imports only the module of its `kind`.
         actor_class = type(kind.__name__, (_RayMixin, kind), {})
         options: dict[str, Any] = {"num_cpus": 0, "max_restarts": 0, "max_concurrency": threads}
@@ -159,7 +146,7 @@ class RayPlatform:
                 options |= {"name": full_name, "namespace": NAMESPACE, "lifetime": "detached"}
         handle: Any = ray.remote(actor_class).options(**options).remote(*values)
         self._handles[name] = handle
-        return RayProcess(handle, self._pending, reattached=False)
+        return RayProcess(handle, self._pending, self._unfinished, reattached=False)
 
     def share(self, value: Any) -> Any:
         return ray.put(value)
@@ -251,8 +238,9 @@ def _silent_s(handles: Mapping[str, Any]) -> float:
 )
 def _init(config: Config) -> None:
     os.environ.setdefault("RAY_timeout_ms_task_wait_for_death_info", str(DEATH_INFO_TIMEOUT_MS))
+    os.environ.setdefault("RAY_COLOR_PREFIX", "0")
     if config.runtime == "ray":
-        _join()
+        _join(LOGGED)
         return
     if "RAY_AUTH_MODE" not in os.environ:  # with a token in the environment Ray writes none to the disk
         os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
@@ -264,7 +252,7 @@ def _init(config: Config) -> None:
         include_dashboard=False,
         object_store_memory=256 << 20,
         _temp_dir=f"{short_temporary_folder(os.environ.get('RAY_TMPDIR'))}/ray",  # Ray has sockets in it
-        **QUIET,
+        **LOGGED,
     )
 
 
@@ -284,14 +272,24 @@ def _cluster_answers() -> bool:
     return True
 
 
-def _join() -> None:
+def _join(logs: Mapping[str, Any] = QUIET) -> None:
     """Join the cluster that this machine belongs to. ConnectionError if it belongs to none."""
     if os.environ.get("RAY_ADDRESS", "").startswith("http"):
         raise ValueError(
             f"RAY_ADDRESS is {os.environ['RAY_ADDRESS']}, the address for submitting jobs: "
             "submit this command with `ray job submit`, or unset RAY_ADDRESS on a node of the cluster"
         )
-    ray.init(address="auto", namespace=NAMESPACE, **QUIET)
+    ray.init(address="auto", namespace=NAMESPACE, **logs)
+
+
+def _pending() -> frozenset[str]:
+    table = ray._private.state.state.actor_table(None, actor_state_name="PENDING_CREATION")
+    return frozenset(key for key, info in table.items() if not info["Pid"])
+
+
+def _finished(refs: list[Any]) -> list[Any]:
+    done: list[Any] = ray.wait(refs, num_returns=len(refs), timeout=0, fetch_local=False)[0]
+    return done
 
 
 def _node_ip() -> str:

@@ -18,9 +18,10 @@ import random
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 from giirl_core.metrics import Metrics
+from giirl_core.telemetry.series import WorkerState
 
 LOG = logging.getLogger(__name__)
 START_TIMEOUT_S = 120.0  # to start a process that has a place
@@ -28,8 +29,6 @@ MAX_CRASHES = 5  # in a row, then the process is quarantined
 STABLE_RUN_S = 30.0  # a run of this length, with a heartbeat, resets the count of crashes
 BACKOFF_S = 0.05  # before the first restart; four times as long after every further crash
 BACKOFF_MAX_S = 5.0
-
-State = Literal["waiting", "starting", "running", "stopping", "given_up"]
 
 
 class ProcessDied(RuntimeError):
@@ -74,6 +73,7 @@ class Platform(Protocol):
     """Starts processes, on this machine or in a cluster."""
 
     host: str  # address of this process, as the started processes see it
+    node: str  # address of this machine, as other machines see it
     single_node: bool  # all processes run on this machine and end with this process
 
     # A process that is not `detached` ends with this one, also on a cluster.
@@ -127,7 +127,7 @@ class SupervisedProcess:
         return not self.quarantined and not self.stopping
 
     @property
-    def state(self) -> State:
+    def state(self) -> WorkerState:
         """What the process does, in one word."""
         if self.quarantined:
             return "given_up"

@@ -9,9 +9,12 @@ import time
 from giirl_core.config_file import parse_config
 from giirl_core.metrics import Metrics
 from giirl_core.nets.language import load_vectors
+from giirl_core.telemetry.logs import configure_logs
+from giirl_core.telemetry.targets import reachable
 from giirl_core.wire.transport import Keys
 
 STOPPED_TIMEOUT_S = 15.0  # a process that was stopped, and then hears nothing for this long, exits
+MAX_WORKERS = 2048  # on one machine: how many ports are tried
 TICK_S = 0.1  # between two checks of a condition
 ORPHAN_TICK_S = 1.0  # between two checks whether the learner is still there
 
@@ -22,11 +25,18 @@ class WorkerProcess:
     It exits by itself when it hears nothing of a learner for `actors.orphan_timeout_s`, whatever it does then.
     """
 
-    def __init__(self, config: str, encrypted: bool) -> None:
-        """`encrypted`: connections need a key pair. This process makes its own, and only tells its public key."""
+    KIND: str  # as `giirl_core.telemetry.series` names it
+
+    def __init__(self, config: str, run: str, name: str, encrypted: bool) -> None:
+        """`run` is the identity of the run, `name` that of the process, such as "actor-0".
+
+        `encrypted`: connections need a key pair. This process makes its own, and only tells its public key.
+        """
         self._config = parse_config(json.loads(config), "the driver's config")
         self._keys = Keys.generate() if encrypted else None
-        self._metrics, self._metrics_address = Metrics(), ""
+        self._metrics, self._metrics_address = Metrics(self.KIND), ""
+        self._run, self._name = run, name
+        configure_logs(self._config.log, run, name)
         self._stopped = threading.Event()
         self._running = False  # `run` has begun and not returned
         self._called_s = time.monotonic()
@@ -39,10 +49,12 @@ class WorkerProcess:
         return "127.0.0.1"
 
     def metrics_address(self) -> str:
-        """The address of the metrics, which are served from the first call on."""
+        """The "host:port" at which the other processes reach the metrics, which are served from the first call on."""
         self.ping()
-        self._metrics_address = self._metrics_address or self._metrics.serve(self._config.metrics.host)
-        return self._metrics_address
+        settings = self._config.metrics
+        if not self._metrics_address:
+            self._metrics_address = self._metrics.serve(settings.host, settings.worker_port, ports=MAX_WORKERS)
+        return reachable(self._metrics_address, self.host())
 
     def leave(self) -> None:
         """Exit for good: there is no learner any more. Platforms override this; without one it does nothing."""

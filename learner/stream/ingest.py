@@ -87,9 +87,15 @@ class Ingest:
                 self._lock.wait(left_s)
 
     def snapshot(self) -> IngestSnapshot:
-        """The state at this moment, for a checkpoint: queued episodes, actor offsets and episode counts."""
+        """The state at this moment, for a checkpoint: queued episodes, actor offsets and episode counts.
+
+        Call it from the thread that calls `take`.
+        """
         with self._lock:
-            return self._admission.snapshot()
+            frozen = self._admission.freeze()
+        problems = self._admission.build(frozen)  # without the lock, so that actors are answered meanwhile
+        with self._lock:
+            return self._admission.snapshot(frozen, problems)
 
     def commit(self, snapshot: IngestSnapshot) -> None:
         """Tell actors that a checkpoint with `snapshot` is on disk: they may discard the episodes that it covers.
@@ -176,5 +182,6 @@ class Ingest:
             self._refusals = refusals
         with self._lock:
             grants = self._admission.grants()
+            self._metrics.trajectories_queued.set(self._admission.queued)
         for peer, grant in grants:
             self._router.send(peer, grant)  # an actor that misses a grant gets another after its next heartbeat

@@ -34,7 +34,7 @@ def keys(episodes: list[Episode]) -> list[tuple[str, int, bytes, bool]]:
 
 @pytest.fixture
 def pool(tmp_path: Path) -> PagePool:
-    return PagePool(config(tmp_path, "actors.count=3"), ThreadPlatform(), Metrics())
+    return PagePool(config(tmp_path, "actors.count=3"), "run", ThreadPlatform(), Metrics())
 
 
 @pytest.mark.parametrize("kind", ["expert", "random", "greedy"])

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from threading import Thread
+from threading import Thread, current_thread, main_thread
 from typing import Any
 
 import pytest
@@ -22,6 +22,7 @@ from giirl.signals import Stopped
 from giirl_core.config_file import dump_config
 from giirl_core.nets.parameters import serialise_net
 from giirl_core.nets.reward import build_reward
+from giirl_core.processes import open_files
 from giirl_core.types import Episode
 from learner.checkpoint import save_checkpoint
 from reward_service.process import RewardProcess
@@ -188,7 +189,7 @@ def test_on_a_cluster_connections_are_encrypted_and_no_secret_key_leaves_its_pro
 
 
 def test_rejoin_returns_from_an_idle_reward_service_and_waits_for_a_serving_one(tmp_path: Path) -> None:
-    service = RewardProcess(dump_config(config(tmp_path)), encrypted=False)
+    service = RewardProcess(dump_config(config(tmp_path)), "run", "reward-service-0", encrypted=False)
     service.addresses()
     first, second = (
         serialise_net(build_reward(config(tmp_path)).net, 1),
@@ -213,3 +214,37 @@ def test_the_reward_service_module_imports_neither_torch_nor_the_packages_of_act
     loaded = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True, timeout=60).stdout
     assert not {"torch", "actors", "browser_farm", "learner"} & set(loaded.split())
     assert "reward_service" in loaded.split()
+
+
+def test_a_learner_that_waits_for_episodes_is_alive(
+    runtimes: list[WorkersRuntime], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    beats: list[Thread] = []
+    monkeypatch.setattr("giirl.run.workers.Ingest.take", lambda self, episodes, timeout_s: waited(timeout_s))
+    monkeypatch.setattr("giirl_core.telemetry.health.Health.beat", lambda self: beats.append(current_thread()))
+
+    def waited(timeout_s: float) -> list[Episode]:
+        raise TimeoutError
+
+    with pytest.raises(RuntimeError, match="fewer than 8 episodes came"):
+        run(tmp_path / "run", "runtime=local", *FEW, "stream.take_timeout_s=0.2", "actors.count=1")
+    assert beats.count(main_thread()) > 1  # the others are of the actor and of the reward service
+
+
+def test_more_actors_than_open_files_allow_are_refused_while_the_run_goes_on(
+    runtimes: list[WorkersRuntime], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    take = WorkersRuntime.take
+
+    def growing(self: WorkersRuntime, episodes: int) -> list[Episode]:
+        RunFolder(tmp_path / "run").wanted.write_text("1000")
+        return take(self, episodes)
+
+    monkeypatch.setattr(WorkersRuntime, "take", growing)
+    monkeypatch.setattr("giirl.run.fleet.POLL_S", 0.0)
+    monkeypatch.setattr(open_files, "open_files_limit", lambda: 2000)
+    run(tmp_path / "run", "runtime=local", *FEW)
+    assert len(runtimes[0]._fleet._actors) == 1
+    refusals = [record.message for record in caplog.records if "the number of actors stays 1" in record.message]
+    assert len(refusals) == 1
+    assert "1000 actors need 4512: wanted ulimit -n 4512" in refusals[0]

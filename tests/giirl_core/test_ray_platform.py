@@ -16,6 +16,7 @@ from giirl_core.config_file import dump_config
 from giirl_core.processes import ray_platform
 from giirl_core.processes.code_version import code_version
 from giirl_core.processes.ray_platform import RayPlatform, RayProcess, kill_left
+from giirl_core.processes.shared_requests import PENDING_POLL_S
 from giirl_core.processes.supervision import Place
 
 CONFIG = Config(runtime="ray")
@@ -151,7 +152,7 @@ def test_a_process_has_a_place_when_ray_has_started_it(cluster: FakeRay, monkeyp
     for pid in (0, 0, 0, 7):
         cluster.actors[cluster.options[0]["name"]]["Pid"] = pid
         answers.append(process.placed())
-        now_s[0] += 2 * ray_platform.PENDING_POLL_S
+        now_s[0] += 2 * PENDING_POLL_S
     assert answers == [False, False, False, True]
 
 

@@ -246,7 +246,7 @@ def test_waiting_for_a_place_is_no_crash_however_long_it_lasts(harness: Harness,
     assert after(0, supervised, clock) == "starting"
     addresses.pending = False
     assert after(START_TIMEOUT_S - 1, supervised, clock) == "running"
-    assert harness.metrics.registry.get_sample_value("giirl_worker_exits_total", {"kind": "actor"}) is None
+    assert harness.metrics.registry.get_sample_value("giirl_worker_exits_total", {"kind": "actor"}) == 0
 
 
 def test_a_process_without_a_place_is_given_up_at_the_deadline(harness: Harness, clock: FakeClock) -> None:

@@ -48,7 +48,7 @@ class LeavingActor(ActorProcess):
 class LeavingService(RewardProcess):
     def __init__(self, config: str) -> None:
         self.left = Event()
-        super().__init__(config, encrypted=False)
+        super().__init__(config, "run", "reward-service-0", encrypted=False)
 
     def leave(self) -> None:
         self.left.set()

@@ -15,7 +15,8 @@ from giirl.operate.status import lines, read_status
 from giirl.operate.stop import stop_requests, stop_run
 from giirl.run.folder import RunFolder
 from giirl_core.files import folder_lock, write_json
-from giirl_core.metrics import Metrics, write_targets
+from giirl_core.metrics import Metrics
+from giirl_core.telemetry.targets import target_groups, write_targets
 from giirl_core.temporary import user_folder
 from tests.giirl.small import config, run
 
@@ -40,7 +41,7 @@ def learner_metrics() -> Metrics:
     flow = {"episodes_per_s": 38.1, "env_steps_per_s": 190.2, "iterations_per_s": 1.2, "lag": 2.4, "stale": 0.0}
     for key, value in {**flow, "learner_waits": 0.01, "actors_idle": 0.54}.items():
         metrics.flow.labels(key).set(value)
-    metrics.trajectories_dropped.labels("lost").inc(3)
+    metrics.trajectories_lost.inc(3)
     metrics.trajectories_dropped.labels("stale").inc(0)
     metrics.trajectories_queued.set(12)
     for kind, state, count in (("actor", "running", 3), ("actor", "waiting", 1), ("reward-service", "running", 2)):
@@ -53,7 +54,7 @@ def test_the_status_of_a_run_under_way_says_all_an_operator_asks(tmp_path: Path)
     metrics = learner_metrics()
     address = metrics.serve()
     try:
-        write_targets(folder.targets, "run", {"learner": address, "actor-0": "127.0.0.1:9"})
+        write_targets(folder.targets, target_groups("run", {"learner": address, "actor-0": "127.0.0.1:9"}))
         status = read_status(str(folder.path))
         by_address = read_status(address)
     finally:
@@ -78,7 +79,7 @@ def test_the_status_of_a_run_under_way_says_all_an_operator_asks(tmp_path: Path)
 
 def test_a_run_says_its_goal_and_success_in_its_metrics(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     metrics = Metrics()
-    monkeypatch.setattr("giirl.run.train.Metrics", lambda: metrics)
+    monkeypatch.setattr("giirl.run.train.Metrics", lambda kind: metrics)
     run(tmp_path / "run")
     value = metrics.registry.get_sample_value
     assert (value("giirl_iterations_goal"), value("giirl_policy_version")) == (4, 4)
@@ -99,7 +100,7 @@ def test_a_run_says_its_goal_and_success_in_its_metrics(tmp_path: Path, monkeypa
 )
 def test_a_run_whose_learner_does_not_answer_is_told_from_its_folder(state: str, said: str, tmp_path: Path) -> None:
     folder = RunFolder.create(config(tmp_path / "run"), "test")
-    write_targets(folder.targets, "run", {"learner": "127.0.0.1:9"})
+    write_targets(folder.targets, target_groups("run", {"learner": "127.0.0.1:9"}))
     if state == "finished":
         write_json(folder.result, {})
     if state == "locked":
