@@ -174,6 +174,7 @@ ROWS: dict[str, Sequence[Panel]] = {
     "Browsers": (
         Panel("Workers", "none", [("{{kind}} {{state}}", level(M.workers, "kind", "state"))]),
         Panel("Browser recoveries per second", "ops", [("{{cause}}", rate(M.browser_recoveries, "cause"))]),
+        Panel("Left out of pages per second", "ops", [("{{what}}", rate(M.page_limits, "what"))]),
         Panel("Exits of workers per second", "ops", [("{{kind}}", rate(M.worker_exits, "kind"))]),
     ),
     "Reward service": (

@@ -51,7 +51,7 @@ class Need:
 
 def costs(workload: str) -> Costs:
     """The costs measured by `giirl bench training`."""
-    measured: dict[str, Any] = json.loads((RESULTS / "training.json").read_text())
+    measured: dict[str, Any] = json.loads((RESULTS / "training.json").read_text(encoding="utf-8"))
     row, cores = measured[workload], measured["settings"]["cores"]
     per_episode_ms = 1000 * cores / row["episodes_per_s"]
     share = row["cpu_share"]

@@ -11,7 +11,6 @@ import importlib.metadata
 import os
 from collections.abc import Mapping, Sequence
 from itertools import product
-from threading import Lock
 from typing import Literal, TypeVar, get_args
 
 from prometheus_client import (
@@ -21,10 +20,11 @@ from prometheus_client import (
     Histogram,
     ProcessCollector,
     disable_created_metrics,
-    values,
 )
 from prometheus_client.exposition import choose_encoder
 from prometheus_client.parser import text_string_to_metric_families
+
+from giirl_core.telemetry.in_memory import InMemoryCounter, InMemoryGauge, InMemoryHistogram
 
 LEARNER, ACTOR, SERVICE = KINDS = ("learner", "actor", "reward-service")
 LAG_BUCKETS = (0, 1, 2, 3, 4, 6, 8, 12, 16)  # versions
@@ -62,36 +62,6 @@ def parse_samples(text: str) -> Samples:
         for sample in family.samples:
             found.setdefault(sample.name, []).append((dict(sample.labels), sample.value))
     return found
-
-
-_VALUE_CLASS_LOCK = Lock()
-
-
-class _InMemory:
-    """Holds the values of a metric in this process.
-
-    The library would put them into the files of PROMETHEUS_MULTIPROC_DIR, which belong to another service.
-    """
-
-    def _metric_init(self) -> None:
-        with _VALUE_CLASS_LOCK:
-            chosen, values.ValueClass = values.ValueClass, values.MutexValue
-            try:
-                super()._metric_init()  # type: ignore[misc]
-            finally:
-                values.ValueClass = chosen
-
-
-class _Counter(_InMemory, Counter):
-    pass
-
-
-class _Gauge(_InMemory, Gauge):
-    pass
-
-
-class _Histogram(_InMemory, Histogram):
-    pass
 
 
 class Series:
@@ -312,15 +282,15 @@ class Series:
         )
 
     def _counter(self, name: str, help_text: str, kinds: Sequence[str], **labels: Values) -> Counter:
-        return _begun(_Counter(name, help_text, labels, registry=self._registry_for(kinds)), labels)
+        return _begun(InMemoryCounter(name, help_text, labels, registry=self._registry_for(kinds)), labels)
 
     def _gauge(self, name: str, help_text: str, kinds: Sequence[str], **labels: Values) -> Gauge:
-        return _begun(_Gauge(name, help_text, labels, registry=self._registry_for(kinds)), labels)
+        return _begun(InMemoryGauge(name, help_text, labels, registry=self._registry_for(kinds)), labels)
 
     def _histogram(
         self, name: str, help_text: str, kinds: Sequence[str], buckets: tuple[float, ...], **labels: Values
     ) -> Histogram:
-        made = _Histogram(name, help_text, labels, buckets=buckets, registry=self._registry_for(kinds))
+        made = InMemoryHistogram(name, help_text, labels, buckets=buckets, registry=self._registry_for(kinds))
         return _begun(made, labels)
 
     def _registry_for(self, kinds: Sequence[str]) -> CollectorRegistry | None:

@@ -42,7 +42,7 @@ def clear_dead_targets(runs: Path) -> list[Path]:
     cleared = []
     for path in sorted(runs.glob(f"*/{TARGETS}")):
         try:
-            if json.loads(path.read_text()):
+            if json.loads(path.read_text(encoding="utf-8")):
                 with folder_lock(path.parent):
                     write_targets(path, [])
                 cleared.append(path.parent)

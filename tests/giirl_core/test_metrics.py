@@ -76,9 +76,9 @@ IN_ANOTHER_SERVICE = """
 from prometheus_client import CollectorRegistry, Counter
 from giirl_core.metrics import Metrics
 metrics = Metrics()
-metrics.episodes.labels("click-test", "success").inc()
+metrics.episodes.labels("click-test", "success", "train").inc()
 metrics.policy_lag.observe(1)
-print(metrics.registry.get_sample_value("giirl_episodes_total", {"task": "click-test", "outcome": "success"}))
+print(metrics.registry.get_sample_value("giirl_episodes_total", {"task": "click-test", "outcome": "success", "purpose": "train"}))
 Counter("own", "a counter of the service", registry=CollectorRegistry()).inc()
 """
 
