@@ -14,7 +14,7 @@ from typing import Any
 from giirl.run.folder import RunFolder
 from giirl_core.files import is_locked
 from giirl_core.progress import duration
-from giirl_core.telemetry.series import Samples, parse_samples
+from giirl_core.telemetry.prometheus import Samples, parse_samples
 
 TIMEOUT_S = 0.7  # for the learner's answer
 DIRECT = urllib.request.build_opener(urllib.request.ProxyHandler({}))

@@ -13,18 +13,15 @@ from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Literal, TypeVar, get_args
 
-from prometheus_client import (
+from giirl_core.telemetry.prometheus import (
     CollectorRegistry,
     Counter,
     Gauge,
     Histogram,
     ProcessCollector,
+    choose_encoder,
     disable_created_metrics,
 )
-from prometheus_client.exposition import choose_encoder
-from prometheus_client.parser import text_string_to_metric_families
-
-from giirl_core.telemetry.in_memory import InMemoryCounter, InMemoryGauge, InMemoryHistogram
 
 LEARNER, ACTOR, SERVICE = KINDS = ("learner", "actor", "reward-service")
 LAG_BUCKETS = (0, 1, 2, 3, 4, 6, 8, 12, 16)  # versions
@@ -50,18 +47,6 @@ SCORING_RESULTS = ("ok", "overloaded", "malformed", "no_weights", "failed", "unr
 M = TypeVar("M", Counter, Gauge, Histogram)
 
 disable_created_metrics()  # type: ignore[no-untyped-call] # a second series for each counter, which nobody reads
-
-
-Samples = dict[str, list[tuple[dict[str, str], float]]]  # by name: labels and value of each series
-
-
-def parse_samples(text: str) -> Samples:
-    """The metrics that a process has served. ValueError if the text is something else."""
-    found: Samples = {}
-    for family in text_string_to_metric_families(text):
-        for sample in family.samples:
-            found.setdefault(sample.name, []).append((dict(sample.labels), sample.value))
-    return found
 
 
 class Series:
@@ -282,15 +267,15 @@ class Series:
         )
 
     def _counter(self, name: str, help_text: str, kinds: Sequence[str], **labels: Values) -> Counter:
-        return _begun(InMemoryCounter(name, help_text, labels, registry=self._registry_for(kinds)), labels)
+        return _begun(Counter(name, help_text, labels, registry=self._registry_for(kinds)), labels)
 
     def _gauge(self, name: str, help_text: str, kinds: Sequence[str], **labels: Values) -> Gauge:
-        return _begun(InMemoryGauge(name, help_text, labels, registry=self._registry_for(kinds)), labels)
+        return _begun(Gauge(name, help_text, labels, registry=self._registry_for(kinds)), labels)
 
     def _histogram(
         self, name: str, help_text: str, kinds: Sequence[str], buckets: tuple[float, ...], **labels: Values
     ) -> Histogram:
-        made = InMemoryHistogram(name, help_text, labels, buckets=buckets, registry=self._registry_for(kinds))
+        made = Histogram(name, help_text, labels, buckets=buckets, registry=self._registry_for(kinds))
         return _begun(made, labels)
 
     def _registry_for(self, kinds: Sequence[str]) -> CollectorRegistry | None:

@@ -78,7 +78,8 @@ from giirl_core.metrics import Metrics
 metrics = Metrics()
 metrics.episodes.labels("click-test", "success", "train").inc()
 metrics.policy_lag.observe(1)
-print(metrics.registry.get_sample_value("giirl_episodes_total", {"task": "click-test", "outcome": "success", "purpose": "train"}))
+labels = {"task": "click-test", "outcome": "success", "purpose": "train"}
+print(metrics.registry.get_sample_value("giirl_episodes_total", labels))
 Counter("own", "a counter of the service", registry=CollectorRegistry()).inc()
 """
 
