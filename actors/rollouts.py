@@ -140,7 +140,7 @@ def _give_back(
     metrics: Metrics,
 ) -> None:
     """An episode whose page did not open is void: it is played again. The tab goes on with its next one."""
-    metrics.episodes.labels(spec.task, "lost").inc()
+    metrics.episodes.labels(spec.task, "lost", schedule.purpose.name.lower()).inc()
     schedule.requeue_unopened(spec, browser.unopened.get(tab, ""))
     following = schedule.next(tab)
     if following is not None:
