@@ -5,10 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 
-from browser_farm import fake
-from browser_farm import tasks as miniwob
+from browser_farm import fake, mixed
 from browser_farm.fake import FakeFarm
-from browser_farm.farm import ChromeFarm
 from giirl_core.config import Config
 from giirl_core.metrics import Metrics
 from giirl_core.types import Browser, Command, EpisodeSpec, Observation, StepResult
@@ -23,11 +21,14 @@ def open_browser(config: Config, metrics: Metrics, *, tabs: int = 0) -> Browser:
     if config.browser == "fake":
         browser: Browser = FakeFarm(tabs=tabs)
     else:
-        browser = ChromeFarm(
+        browser = mixed.open_farm(
+            config.tasks,
             tabs=tabs,
             call_timeout_s=config.actors.call_timeout_s,
             launch_timeout_s=config.actors.launch_timeout_s,
+            chrome_sandbox=config.actors.chrome_sandbox,
             on_restart=lambda cause: metrics.browser_recoveries.labels(cause).inc(),
+            on_count=lambda what, count: metrics.page_limits.labels(what).inc(count),
         )
     return SlowBrowser(browser, config.actors.step_delay_s) if config.actors.step_delay_s else browser
 
@@ -38,7 +39,11 @@ class SlowBrowser:
     def __init__(self, browser: Browser, delay_s: float) -> None:
         self._browser, self._delay_s = browser, delay_s
         self.tabs = browser.tabs
-        self.unopened = browser.unopened
+
+    @property
+    def unopened(self) -> Mapping[int, str]:
+        """Why the pages of tabs did not open in the last call."""
+        return self._browser.unopened
 
     def reset(self, episodes: Mapping[int, EpisodeSpec]) -> dict[int, Observation]:
         """Open episodes, without a delay."""
@@ -61,9 +66,14 @@ class SlowBrowser:
 
 
 def check_tasks(config: Config) -> None:
-    """Raise ValueError, naming the nearest task, if the browser does not have one of the config's tasks."""
+    """Raise ValueError if the browser does not have one of the config's tasks, or cannot play its task file."""
     for task in config.tasks:
         if config.browser == "fake":
             fake.check_task(task)
         else:
-            miniwob.page_url(task)
+            mixed.check_task(task)
+
+
+def measured_tasks(config: Config) -> tuple[str, ...]:
+    """The config's tasks whose success is known: a task file may leave it open, and training does not need it."""
+    return tuple(task for task in config.tasks if config.browser == "fake" or mixed.is_measured(task))

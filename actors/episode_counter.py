@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import struct
 import time
@@ -10,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from giirl_core.files import naming, try_lock, unlock
 from giirl_core.wire.delivery import MAX_EARLIER, IncarnationCounts
 
 LOCK_TIMEOUT_S = 10.0  # an earlier incarnation that was suspended while it held the lock is killed within this time
@@ -40,7 +40,7 @@ class EpisodeCounter:
     def __init__(self, path: Path, incarnation: int) -> None:
         """Raises Replaced if `incarnation` is not newer than all incarnations in the file."""
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        self._incarnation, self._finished = incarnation, 0
+        self._path, self._incarnation, self._finished = path, incarnation, 0
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             with self._locked():
@@ -92,16 +92,13 @@ class EpisodeCounter:
     def _locked(self) -> Iterator[None]:
         deadline_s = time.monotonic() + LOCK_TIMEOUT_S
         while True:
-            try:
-                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if try_lock(self._file, self._path):
                 break
-            except BlockingIOError:
-                if time.monotonic() > deadline_s:
-                    raise RuntimeError(
-                        f"another incarnation has locked the episode counter for {LOCK_TIMEOUT_S:.0f} s"
-                    ) from None
-                time.sleep(LOCK_RETRY_S)
+            if time.monotonic() > deadline_s:
+                raise RuntimeError(f"another incarnation has locked the episode counter for {LOCK_TIMEOUT_S:.0f} s")
+            time.sleep(LOCK_RETRY_S)
         try:
-            yield
+            with naming(self._path):
+                yield
         finally:
-            fcntl.flock(self._file, fcntl.LOCK_UN)
+            unlock(self._file)

@@ -17,7 +17,6 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import click
@@ -30,7 +29,7 @@ from browser_farm import tasks as miniwob
 from browser_farm.gym.adapter import MiniWoBAdapter
 from browser_farm.gym.env import MiniWoB
 from browser_farm.gym.slot import EnvSlot
-from giirl_core.files import write_json
+from giirl_core.files import writable, write_json
 
 ELEMENT_ACTIONS = ("NONE", "CLICK_ELEMENT", "FOCUS_ELEMENT_AND_TYPE_TEXT", "FOCUS_ELEMENT_AND_TYPE_FIELD", "TYPE_TEXT")
 INPUT_ACTIONS = ("CLICK_COORDS", "DBLCLICK_COORDS", "MOVE_COORDS", "SCROLL_DOWN_COORDS", "PRESS_KEY")
@@ -191,7 +190,7 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--hand", action="store_true", help="also compare actions by coordinates and keys")
     parser.add_argument("--trusted", action="store_true", help="our environment uses Chrome's native input too")
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--json", type=writable)
     arguments = parser.parse_args()
     tasks = arguments.task or registered()
     package = PackageEnv()

@@ -25,7 +25,7 @@ from benchmarks.gym_equality import PackageEnv
 from browser_farm.chrome import reaper
 from browser_farm.gym.env import MiniWoB
 from browser_farm.gym.vector_env import MiniWoBVector
-from giirl_core.files import write_json
+from giirl_core.files import writable, write_json
 
 TASK = "click-checkboxes-large"
 ENVS = 8
@@ -119,7 +119,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=4.0)
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--json", type=writable)
     arguments = parser.parse_args()
     load = os.getloadavg()
     package, env, envs = PackageEnv(), MiniWoB(TASK), MiniWoBVector(TASK, ENVS)
@@ -144,9 +144,9 @@ def main() -> None:
         env.close()
         envs.close()
     result = {"task": TASK, "sides": sides, "load_before": load, "load_after": os.getloadavg()}
-    click.echo(json.dumps(result, indent=2))
     if arguments.json:
         write_json(arguments.json, result)
+    click.echo(json.dumps(result, indent=2))
 
 
 if __name__ == "__main__":

@@ -76,8 +76,8 @@ def run_tests(files: list[Path], options: dict[str, Any]) -> dict[str, str]:
     """The outcome of each test with these options of our environment: "passed", or its error."""
     folder = files[0].parent
     report = folder / "report.xml"
-    (folder / "pytest.ini").write_text("[pytest]\njunit_family = xunit2\n")
-    (folder / "conftest.py").write_text(f"OPTIONS = {options!r}\n{REPLACEMENT}")
+    (folder / "pytest.ini").write_text("[pytest]\njunit_family = xunit2\n", encoding="utf-8")
+    (folder / "conftest.py").write_text(f"OPTIONS = {options!r}\n{REPLACEMENT}", encoding="utf-8")
     arguments = ["-q", "--tb=short", "-p", "no:cacheprovider", f"--junitxml={report}", "-c", str(folder / "pytest.ini")]
     command = [sys.executable, "-m", "pytest", *arguments, *map(str, files)]
     subprocess.run(command, env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}, check=False)

@@ -24,7 +24,7 @@ from typing import Any
 import psutil
 
 from actors.episode_counter import read_counts
-from giirl_core.files import write_json
+from giirl_core.files import writable, write_json
 from giirl_core.processes.supervision import MAX_CRASHES
 from giirl_core.progress import Display, Job
 from learner.checkpoint import latest_checkpoint
@@ -66,7 +66,7 @@ def measure(times: int, display: Display) -> dict[str, Any]:
         job = stack.enter_context(display.job("kills", 3 * times))
         with Command("train", *SETTINGS, f"run={run}", env=env) as learner:
             learner.until(lambda: step(run) > 10, "first checkpoint", timeout_s=TIMEOUT_S)
-            counts = head.temporary / "giirl" / (run / "identity").read_text() / "actor-0.count"
+            counts = head.temporary / "giirl" / (run / "identity").read_text(encoding="utf-8") / "actor-0.count"
             for _ in range(times):
                 before, (actor,) = last_incarnation(counts)[0], find(head, "ray::ActorProcess")
                 killed_s = kill(actor)
@@ -131,7 +131,7 @@ def main() -> None:
     parser.add_argument(
         "--times", type=int, default=3, choices=range(1, MAX_CRASHES - 1), help="kills per part; more are a crash loop"
     )
-    parser.add_argument("--json", type=Path, help="write the result to this file")
+    parser.add_argument("--json", type=writable, help="write the result to this file")
     arguments = parser.parse_args()
     result = {"recovery": measure(arguments.times, Display())}
     if arguments.json:

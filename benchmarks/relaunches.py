@@ -23,7 +23,7 @@ import psutil
 
 from browser_farm.chrome import reaper
 from browser_farm.farm import ChromeFarm
-from giirl_core.files import write_json
+from giirl_core.files import writable, write_json
 from giirl_core.progress import Display
 from giirl_core.types import Command, EpisodeSpec, Verb
 
@@ -80,7 +80,7 @@ def run(times: int, folder: Path) -> dict[str, Any]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--times", type=int, default=200)
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--json", type=writable)
     arguments = parser.parse_args()
     result = run(arguments.times, Path(tempfile.gettempdir()))
     if arguments.json is not None:

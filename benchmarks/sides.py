@@ -55,7 +55,7 @@ def pss_mb(pids: set[int]) -> float:
     total_kb = 0
     for pid in pids:
         try:
-            lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+            lines = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="utf-8").splitlines()
         except OSError:
             continue
         total_kb += sum(int(line.split()[1]) for line in lines if line.startswith("Pss:"))

@@ -29,7 +29,7 @@ from benchmarks.sides import FIRST_SEED
 from browser_farm.chrome import reaper
 from browser_farm.experts import expert
 from browser_farm.farm import ChromeFarm
-from giirl_core.files import write_json
+from giirl_core.files import writable, write_json
 from giirl_core.progress import Display
 from giirl_core.types import Command, EpisodeSpec, Observation
 
@@ -224,7 +224,7 @@ def main() -> int:
     parser.add_argument("--episodes", type=int, default=24000)
     parser.add_argument("--every", type=int, default=500)
     parser.add_argument("--tabs", type=int, default=8)
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--json", type=writable)
     arguments = parser.parse_args()
     result = run(arguments.episodes, arguments.every, arguments.tabs)
     if arguments.json is not None:

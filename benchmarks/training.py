@@ -68,8 +68,8 @@ def _train(case: str, actors: int, tabs: int) -> dict[str, Any]:
         if process.wait(TIMEOUT_S):
             assert process.stderr is not None
             raise RuntimeError(f"the training run failed: {process.stderr.read().strip().splitlines()[-1:]}")
-        points = [json.loads(line) for line in (run / "curve.jsonl").read_text().splitlines()]
-        flow = json.loads((run / "result.json").read_text())["flow"]
+        points = [json.loads(line) for line in (run / "curve.jsonl").read_text(encoding="utf-8").splitlines()]
+        flow = json.loads((run / "result.json").read_bytes())["flow"]
     measured = points[int(WARM_UP * len(points)) :]
     seconds = measured[-1]["seconds"] - measured[0]["seconds"]
     total = sum(cpu.values()) or 1.0

@@ -16,6 +16,7 @@ from browser_farm.chrome.answers import Failure, decode, pixels
 from browser_farm.chrome.devtools import BrowserGone
 from browser_farm.chrome.tabs import Tabs
 from browser_farm.tasks import needs_fresh_document, page_url
+from giirl_core.config.sections import Sandbox
 from giirl_core.types import Command, EpisodeSpec, Goal, Observation, StepResult, Verb
 
 OPEN_ATTEMPTS = 4  # in the tab as it is, in a new document, in a new renderer process, in a new Chrome
@@ -49,7 +50,7 @@ class ChromeFarm:
         call_timeout_s: float = 10.0,
         launch_timeout_s: float = 60.0,
         headless: bool = True,
-        no_sandbox: bool | None = None,  # None: only as root, where Chrome refuses to run otherwise
+        chrome_sandbox: Sandbox = "auto",  # GIIRL_CHROME_SANDBOX, else "on", but "off" as root, where Chrome refuses it
         view: pages.View = pages.ROWS,
         base_url: str = "",  # folder of the pages, as file:// or http:// URL; "" for those of the miniwob package
         trusted: bool = False,  # act through Chrome's native mouse and keyboard input instead of DOM events
@@ -74,7 +75,7 @@ class ChromeFarm:
             call_timeout_s=call_timeout_s,
             launch_timeout_s=launch_timeout_s,
             headless=headless,
-            no_sandbox=no_sandbox,
+            sandbox=chrome_sandbox,
             base_url=base_url,
         )
         try:

@@ -59,7 +59,7 @@ def _encode_action(command: Command) -> Json:
 
 def decode_page(columns: list[Any]) -> Page:
     """A Page from the columns that reading.js returns."""
-    tag, text, value, classes, numbers, boxes, drawings = columns
+    tag, text, value, classes, numbers, boxes, details = columns
     table = np.array(numbers, dtype=np.int32).reshape(-1, 3)
     flags = table[:, 2]
     return Page(
@@ -72,8 +72,9 @@ def decode_page(columns: list[Any]) -> Page:
         box=np.array(boxes, dtype=np.float32).reshape(-1, 4),
         focused=(flags & FOCUSED) != 0,
         tampered=(flags & TAMPERED) != 0,
-        colour=_dense_column(drawings[::3], drawings[1::3], len(tag)),
-        shape=_dense_column(drawings[::3], drawings[2::3], len(tag)),
+        colour=_dense_column(details[::4], details[1::4], len(tag)),
+        shape=_dense_column(details[::4], details[2::4], len(tag)),
+        attributes=_dense_column(details[::4], details[3::4], len(tag)),
     )
 
 

@@ -15,4 +15,12 @@ if [ -z "${RAY_ADDRESS:-}" ]; then
   echo "submit: RAY_ADDRESS is not set, wanted the dashboard: export RAY_ADDRESS=http://127.0.0.1:8265" >&2
   exit 2
 fi
-exec "${RAY:-.venv/bin/ray}" job submit --working-dir . -- giirl train "$@" runtime=ray
+# No proxy stands between this machine and itself.
+no_proxy=${no_proxy:-${NO_PROXY:-}}
+export no_proxy="${no_proxy:+$no_proxy,}127.0.0.1,localhost,::1"
+ray=${RAY:-.venv/bin/ray}
+if ! answer=$("$ray" job list 2>&1); then
+  echo "submit: no dashboard of Ray answers at RAY_ADDRESS=$RAY_ADDRESS: ${answer##*$'\n'}" >&2
+  exit 1
+fi
+exec "$ray" job submit --working-dir . -- giirl train "$@" runtime=ray

@@ -1,4 +1,4 @@
-"""Checks of this machine for `giirl doctor`: programs, packages, pages, word vectors, memory, sockets."""
+"""Checks of this machine for `giirl doctor`: programs, a real start of Chrome, packages, pages, memory, sockets."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from pathlib import Path
 
 from browser_farm.chrome.launcher import CHROMES, DRIVERS
 from giirl_core.config import DEFAULT_TASKS
+from giirl_core.types import EpisodeSpec
 
 GIB = 1 << 30
 MIN_PYTHON = (3, 11)
@@ -26,6 +27,7 @@ MIN_MEMORY_BYTES = 4 * GIB
 MIN_SHARED_BYTES = GIB
 GLOVE_BYTES = 400_000 * 50 * 4  # words, numbers per word, bytes per number
 VERSION_TIMEOUT_S = 20.0
+CONNECT_TIMEOUT_S = 10.0
 REINSTALL = "make install"
 PAGES = tuple(f"miniwob/{task}.html" for task in DEFAULT_TASKS)
 SKIPPED_EXTRAS = ("all", "dev")  # "all" repeats the other extras, "dev" is for work on GIIRL itself
@@ -54,7 +56,10 @@ def checks(demonstrations: Path | None = None) -> list[Check]:
     """All checks; none uses the network. `demonstrations` is a folder of recordings to look at, if any."""
     chrome = program("Chromium", "GIIRL_CHROME", CHROMES, package="chromium")
     driver = program("chromedriver", "GIIRL_CHROMEDRIVER", DRIVERS, package="chromium-driver")
-    found = [python(), chrome, driver, same_major(chrome, driver)]
+    match = same_major(chrome, driver)
+    found = [python(), chrome, driver, match]
+    if match.ok:
+        found.append(browser())
     found += [package(dependency) for dependency in dependencies()]
     found += [pages(), glove(), cores(), memory(), shared_memory(Path("/dev/shm")), loopback()]
     if demonstrations is not None:
@@ -105,6 +110,21 @@ def same_major(chrome: Check, driver: Check) -> Check:
         found=f"{majors[0]} and {majors[1]}",
         fix="apt-get install --only-upgrade chromium chromium-driver",
     )
+
+
+def browser() -> Check:
+    """Chrome starts here and shows a page: a sandbox, a limit or a policy may forbid it although it is installed."""
+    name, fix = "Chromium shows a page", "mend what the error names"
+    try:
+        from browser_farm.farm import ChromeFarm
+
+        with ChromeFarm(tabs=1) as farm:
+            opened = farm.reset({0: EpisodeSpec(task="click-test", seed=0)})
+            if 0 not in opened:
+                raise RuntimeError(farm.unopened[0])
+    except (ImportError, RuntimeError, ValueError) as error:
+        return Check(name=name, ok=False, found=" ".join(str(error).split()), fix=fix)
+    return Check(name=name, ok=True, found=f"click-test says {opened[0].goal.utterance!r}", fix=fix)
 
 
 def dependencies() -> list[Dependency]:
@@ -209,7 +229,7 @@ def memory() -> Check:
     """Memory of the machine, or of the control group if that is less."""
     limit = Path("/sys/fs/cgroup/memory.max")
     size = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if limit.is_file() and (text := limit.read_text().strip()).isdigit():
+    if limit.is_file() and (text := limit.read_text(encoding="utf-8").strip()).isdigit():
         size = min(size, int(text))
     return Check(
         name="memory",
@@ -233,14 +253,15 @@ def shared_memory(folder: Path) -> Check:
 
 
 def loopback() -> Check:
-    """A socket can be bound on loopback; trajectories, scores and metrics need one."""
+    """A socket on loopback can be connected to; trajectories, scores, metrics and Chrome need that."""
     fix = "bring the loopback interface up: ip link set lo up"
     try:
         with socket.create_server(("127.0.0.1", 0)) as server:
-            port = server.getsockname()[1]
+            host, port = server.getsockname()
+            socket.create_connection((host, port), timeout=CONNECT_TIMEOUT_S).close()
     except OSError as error:
         return Check(name="loopback socket", ok=False, found=str(error), fix=fix)
-    return Check(name="loopback socket", ok=True, found=f"bound port {port}", fix=fix)
+    return Check(name="loopback socket", ok=True, found=f"connected to port {port}", fix=fix)
 
 
 def recordings(folder: Path) -> Check:

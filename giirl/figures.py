@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from giirl_core.files import atomic_write
 from gridcraft.layouts import COLOURS, Layout
 
 INKS = ("#404040", "#ffffff", "#d7301f", "#31a354", "#3182bd", "#fec44f")  # wall, white, then COLOURS
@@ -123,4 +124,5 @@ def _save(figure: Figure, path: Path) -> None:
     """Write the PNG, without a window system and without a date in the file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     FigureCanvasAgg(figure)
-    figure.savefig(path, dpi=DOTS_PER_INCH, metadata={"Software": None})
+    with atomic_write(path) as file:
+        figure.savefig(file, format="png", dpi=DOTS_PER_INCH, metadata={"Software": None})

@@ -32,7 +32,19 @@ def load_config(path: Path | None, overrides: Sequence[str] = ()) -> Config:
         if not equals or not key:
             raise ValueError(f"{override!r} is not an override: wanted key=value, for example seed=1")
         _set(tree, key, _value(text, defaults.get(key)))
+    if isinstance(tree.get("tasks"), list):
+        tree["tasks"] = [name for entry in tree["tasks"] for name in _task_files(entry)]
     return parse_config(tree, where)
+
+
+def _task_files(entry: Any) -> list[Any]:
+    """The task files of a folder, "tasks/"; any other entry is a task itself."""
+    if not (isinstance(entry, str) and entry.endswith("/")):
+        return [entry]
+    files = sorted(str(path) for path in Path(entry).glob("*.toml"))
+    if not files:
+        raise ValueError(f"tasks has the folder {entry!r}, which has no task file: wanted NAME.toml in it")
+    return files
 
 
 def parse_config(tree: dict[str, Any], where: str) -> Config:
@@ -81,7 +93,7 @@ def keys(section: type[Any] = Config, prefix: str = "") -> list[str]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        text = path.read_text()
+        text = path.read_text(encoding="utf-8-sig")  # in any locale, and with the mark that Windows puts first
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"cannot read the config {path}: {error}; settings are given as key=value") from None
     try:

@@ -18,8 +18,8 @@ from giirl_core.config import Config
 HEAD = """\
 # Configuration
 
-Every setting, its default and its meaning. This page is generated from `giirl_core/config.py` and
-`giirl_core/config_sections.py`. After a change of a setting, write it again:
+Every setting, its default and its meaning. This page is generated from `giirl_core/config/`.
+After a change of a setting, write it again:
 
     .venv/bin/python -m giirl_core.config_reference > docs/configuration.md
 

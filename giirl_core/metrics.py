@@ -11,15 +11,44 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from threading import Thread
+from threading import Lock, Thread
 from wsgiref.simple_server import WSGIServer
 
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, start_http_server
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, start_http_server, values
 
 from giirl_core.files import write_json
 
 LAG_BUCKETS = (0, 1, 2, 3, 4, 6, 8, 12, 16)  # versions
 DURATION_BUCKETS = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # seconds
+
+_VALUE_CLASS_LOCK = Lock()
+
+
+class _InMemory:
+    """Holds the values of a metric in this process.
+
+    The library would put them into the files of PROMETHEUS_MULTIPROC_DIR, which belong to another service.
+    """
+
+    def _metric_init(self) -> None:
+        with _VALUE_CLASS_LOCK:
+            chosen, values.ValueClass = values.ValueClass, values.MutexValue
+            try:
+                super()._metric_init()  # type: ignore[misc]
+            finally:
+                values.ValueClass = chosen
+
+
+class _Counter(_InMemory, Counter):
+    pass
+
+
+class _Gauge(_InMemory, Gauge):
+    pass
+
+
+class _Histogram(_InMemory, Histogram):
+    pass
 
 
 class Metrics:
@@ -61,6 +90,11 @@ class Metrics:
             "giirl_browser_recoveries_total",
             "Number of browser recoveries: one for each broken tab, one for each relaunch of a dead browser.",
             "cause",
+        )
+        self.page_limits = self._counter(
+            "giirl_page_limits_total",
+            "Number of elements left out of large pages, and of requests and file inputs refused, on own pages.",
+            "what",
         )
 
     def _define_delivery(self) -> None:
@@ -141,13 +175,13 @@ class Metrics:
         self.waiting_threads = self._gauge("giirl_waiting_threads", "Number of threads that are waiting.", "reason")
 
     def _counter(self, name: str, help_text: str, *labels: str) -> Counter:
-        return Counter(name, help_text, labels, registry=self.registry)
+        return _Counter(name, help_text, labels, registry=self.registry)
 
     def _gauge(self, name: str, help_text: str, *labels: str) -> Gauge:
-        return Gauge(name, help_text, labels, registry=self.registry)
+        return _Gauge(name, help_text, labels, registry=self.registry)
 
     def _histogram(self, name: str, help_text: str, buckets: tuple[float, ...], *labels: str) -> Histogram:
-        return Histogram(name, help_text, labels, buckets=buckets, registry=self.registry)
+        return _Histogram(name, help_text, labels, buckets=buckets, registry=self.registry)
 
 
 @contextmanager

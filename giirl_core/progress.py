@@ -2,23 +2,54 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
+from typing import Any, TextIO
 
+from rich.cells import cell_len
 from rich.console import Console
+from rich.measure import Measurement
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    ProgressColumn,
     SpinnerColumn,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
-from rich.table import Table
+from rich.table import Column, Table
 
 LOG_INTERVAL_S = 10.0
+PROXIED = "rich_proxied_file"
+NARROW, WIDEST = 80, 10_000  # columns of a terminal
+
+
+class _Messages:
+    """Standard error, as long as somebody can read it: a closed terminal or pipe must not end the work."""
+
+    def write(self, text: str) -> int:
+        with suppress(OSError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(OSError):
+            self._stream.flush()
+
+    @property
+    def _stream(self) -> TextIO:
+        """Standard error itself: while a progress bar is shown, rich puts an object of its own in its place."""
+        stream: TextIO = getattr(sys.stderr, PROXIED, sys.stderr)
+        return stream
+
+    def __getattr__(self, name: str) -> Any:
+        if name == PROXIED:
+            raise AttributeError(name)
+        return getattr(self._stream, name)
 
 
 class Job:
@@ -41,20 +72,52 @@ class Job:
             )
 
 
+def _unbroken(column: Column) -> list[str]:
+    """The parts of a column that must not be cut: the cells of a column of numbers, the words of another."""
+    words = " ".join(map(str, [column.header, *column.cells])).split()
+    return [*words, *map(str, column.cells if column.justify == "right" or column.no_wrap else ()), ""]
+
+
+def _as_list(table: Table) -> Iterator[str]:
+    """The content of a table, each cell on a line of its own."""
+    yield from map(str, filter(None, [table.title]))
+    for row in zip(*(column.cells for column in table.columns), strict=True):
+        for number, (column, cell) in enumerate(zip(table.columns, row, strict=True)):
+            yield f"{'  ' * min(number, 1)}{column.header} {cell}".rstrip()
+    yield from map(str, filter(None, [table.caption]))
+
+
+def _bar_columns(width: int) -> list[ProgressColumn]:
+    """What a progress bar shows on a terminal of this width. Only the note is broken into lines; no number is cut."""
+    title, count = TextColumn("{task.description}"), MofNCompleteColumn(table_column=Column(no_wrap=True))
+    note = TextColumn("{task.fields[note]}", markup=False, table_column=Column(overflow="fold"))
+    if width < NARROW:
+        return [title, count, note]
+    return [SpinnerColumn(), title, BarColumn(bar_width=20), count, TimeElapsedColumn(), TimeRemainingColumn(), note]
+
+
 class Display:
     """The output of a command: messages and progress to standard error, tables of results to standard output."""
 
     def __init__(self) -> None:
-        self.console = Console(stderr=True)
-        self._results = Console()
+        self.console = Console(file=_Messages())  # type: ignore[arg-type]
 
     def say(self, text: str) -> None:
         """Print a line that stays on the terminal."""
         self.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def table(self, table: Table) -> None:
-        """Print a table of results."""
-        self._results.print(table)
+        """Print a table of results. No number or word is cut: too narrow a terminal gets a list, a file long lines."""
+        for column in table.columns:
+            if column.overflow != "fold":
+                column.min_width = max(map(cell_len, _unbroken(column)))
+        console = Console()
+        needed = Measurement.get(console, console.options.update(max_width=WIDEST), table).minimum
+        if needed > console.width and console.is_terminal:
+            console.print("\n".join(_as_list(table)), highlight=False, markup=False, soft_wrap=True)
+        else:
+            console.width = max(console.width, needed)
+            console.print(table, crop=False)
 
     @contextmanager
     def busy(self, title: str) -> Iterator[None]:
@@ -70,14 +133,5 @@ class Display:
             self.say(f"{title} ...")
             yield Job(title, total, done, self.console, None)
             return
-        columns = (
-            SpinnerColumn(),
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=20),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[note]}", markup=False),
-        )
-        with Progress(*columns, console=self.console) as bar:
+        with Progress(*_bar_columns(self.console.width), console=self.console) as bar:
             yield Job(title, total, done, self.console, bar)

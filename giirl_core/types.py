@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giirl_core.actions import LEARNABLE_VERBS, NO_ELEMENT, NO_SPAN, TOKEN, VERB_FIELDS, Action, Goal, Verb
+from giirl_core.pages import TYPABLE_TAGS, Page
 from giirl_core.sampled_actions import SampledActions
 
 __all__ = [
@@ -40,8 +41,6 @@ __all__ = [
     "page_seed",
 ]
 
-_TEXT_INPUTS = ("text", "password", "email", "search", "number", "date", "time")
-TYPABLE_TAGS = frozenset({"textarea", *(f"input_{kind}" for kind in _TEXT_INPUTS)})
 NO_REF = 0  # Command.ref, .to: no element
 UNSCORED = -1  # Trajectory.reward_version: not scored yet
 DEMONSTRATION = -1  # Trajectory.policy_version: recorded from a demonstrator, not from a policy
@@ -77,61 +76,6 @@ class EpisodeSpec:
     task: str
     seed: int
     mode: str = "train"  # or "test": a few MiniWoB tasks reserve some instructions for it
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Page:
-    """The visible elements of a page at one moment: a table of E rows, one for each element, in document order.
-
-    Raises ValueError when the columns have different lengths or a parent does not precede its child.
-    """
-
-    tag: tuple[str, ...]  # [E] lower case; inputs as "input_text"; "t" is a run of bare text
-    text: tuple[str, ...]  # [E] text of a leaf, "" for other elements
-    value: tuple[str, ...]  # [E] value of a form field, "" for other elements
-    classes: tuple[str, ...]  # [E] space-separated
-    ref: NDArray[np.int32]  # [E] the browser's handle of the element
-    parent: NDArray[np.int16]  # [E] row of the parent, -1 for a root
-    box: NDArray[np.float32]  # [E, 4] left, top, width, height in CSS px
-    focused: NDArray[np.bool_]  # [E]
-    tampered: NDArray[np.bool_]  # [E] acted on earlier in this episode
-    colour: tuple[str, ...] = ()  # [E] fill colour of an SVG shape, or colour in an element's own style; else ""
-    shape: tuple[str, ...] = ()  # [E] kind of an SVG shape and its corners in px, "triangle 10,40 20,20 30,40"; else ""
-
-    def __post_init__(self) -> None:
-        rows = len(self.tag)
-        for name in ("colour", "shape"):  # most pages have no shapes: () stands for a column of ""
-            object.__setattr__(self, name, getattr(self, name) or ("",) * rows)
-        for name in ("text", "value", "classes", "ref", "parent", "box", "focused", "tampered", "colour", "shape"):
-            if len(getattr(self, name)) != rows:
-                raise ValueError(f"Page.{name} has {len(getattr(self, name))} rows, Page.tag has {rows}")
-        if self.box.shape != (rows, 4):
-            raise ValueError(f"Page.box has shape {self.box.shape}, wanted {(rows, 4)}")
-        if not bool(np.all((self.parent >= -1) & (self.parent < np.arange(rows)))):
-            raise ValueError("Page.parent has a row that is not before its child, wanted document order, or -1")
-
-    def __len__(self) -> int:
-        return len(self.tag)
-
-    @property
-    def leaf(self) -> NDArray[np.bool_]:
-        """[E] True for elements without children: those that can be clicked."""
-        leaf = np.ones(len(self.tag), dtype=np.bool_)
-        leaf[self.parent[self.parent >= 0]] = False
-        return leaf
-
-    def descendants(self, row: int) -> list[int]:
-        """The rows of all descendants of an element, in document order."""
-        found = {row}
-        for later in range(row + 1, len(self.tag)):
-            if int(self.parent[later]) in found:
-                found.add(later)
-        return sorted(found - {row})
-
-    @property
-    def typable(self) -> NDArray[np.bool_]:
-        """[E] True for text fields."""
-        return np.array([tag in TYPABLE_TAGS for tag in self.tag], dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -267,14 +211,21 @@ class Trajectory:
         sampled = self.sampled if self.sampled is None else replace(self.sampled, rewards=table[:, 1:])
         return replace(self, rewards=table[:, 0], sampled=sampled, reward_version=version)
 
-    def check_learnable(self) -> None:
-        """Raise ValueError when an action is outside the action space of the nets (`Action.learnable`)."""
+    @property
+    def unlearnable(self) -> str:
+        """Which action is outside the action space of the nets (`Action.learnable`); "" when none is."""
         for t, action in enumerate(self.actions):
             if not action.learnable:
-                raise ValueError(
+                return (
                     f"{self.task} with seed {self.seed}, step {t} is {action.verb.name} {action.literal!r:.40} on "
                     f"element {action.element}: the nets only click elements and type words of the goal"
                 )
+        return ""
+
+    def check_learnable(self) -> None:
+        """Raise ValueError when an action is outside the action space of the nets."""
+        if self.unlearnable:
+            raise ValueError(self.unlearnable)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,7 +19,9 @@ def behavioural_cloning(
     """Behavioural cloning (figure 4.8 of Luo 2019). Rollouts are played only to report the policy's success."""
     for step in steps:
         source.take(config.rollout_batch)
-        observe(step, learner.cloner.update(learner.demos.sample(config.cloning.batch)))
+        for _ in range(config.cloning.updates):
+            stats = learner.cloner.update(learner.demos.sample(config.cloning.batch))
+        observe(step, stats)
 
 
 def train_on_frozen_reward(

@@ -93,7 +93,9 @@ class Learner:
 
         Yields the statistics of each update.
         """
-        for _ in range(self.config.policy.bc_warmup_updates):
+        updates = self.config.policy.bc_warmup_updates
+        for update in range(updates):
+            anneal(self.cloner, update / updates)
             yield self.cloner.update(self.demos.sample(self.config.cloning.batch))
         self.soft_q.update_target(1.0)
 
@@ -124,7 +126,7 @@ class Learner:
             "rng": self._rng.bit_generator.state,
             "generator": bytes(self._generator.get_state().tolist()).hex(),
         }
-        (folder / "learner.json").write_text(json.dumps(state, indent=2))
+        (folder / "learner.json").write_text(json.dumps(state, indent=2), encoding="utf-8")
 
     def load(self, folder: Path) -> None:
         """The inverse of `save`. ValueError if the files are of a learner with other nets, or of no learner."""
@@ -134,7 +136,7 @@ class Learner:
             raise ValueError(f"{folder} is no checkpoint of a learner with these settings: {error!r:.200}") from error
 
     def _load(self, folder: Path) -> None:
-        state: dict[str, Any] = json.loads((folder / "learner.json").read_text())
+        state: dict[str, Any] = json.loads((folder / "learner.json").read_bytes())
         for name, net in self._nets().items():
             load_net(net, Weights.with_digest(state["version"], (folder / f"{name}.safetensors").read_bytes()))
         for name, optimiser in self._optimisers().items():

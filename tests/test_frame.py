@@ -23,7 +23,7 @@ PRODUCT = (
     "reward_service",
 )
 PACKAGES = (*PRODUCT, "benchmarks")
-FOLDERS = (*PACKAGES, "tests", "deploy", "experiments", ".ci")
+FOLDERS = (*PACKAGES, "tests", "deploy", "examples", "experiments", ".ci")
 MAX_FILE_LINES = 300
 MAX_MODULES = 15  # of a folder, without __init__.py
 

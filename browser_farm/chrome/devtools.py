@@ -93,6 +93,15 @@ class DevTools:
             self._pending.pop(call, None)
         return replies
 
+    def has_reply(self, call: int) -> bool:
+        """Whether the reply to a call has arrived; `take` returns it."""
+        return call in self._replies
+
+    def take(self, call: int) -> Reply | None:
+        """The reply to a call if it has arrived, else None; a reply that arrives later is discarded."""
+        self._pending.pop(call, None)
+        return self._replies.pop(call, None)
+
     def call(self, session: str, method: str, params: Mapping[str, Any] | None = None, *, timeout_s: float) -> Json:
         """Make one call and return its result; TimeoutError without a reply in time, RuntimeError if Chrome refuses."""
         call = self.send(session, method, params)

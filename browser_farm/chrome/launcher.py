@@ -5,27 +5,35 @@ from __future__ import annotations
 import math
 import os
 import shutil
-import subprocess
 import tempfile
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import urlsplit
 
 from selenium import webdriver
 from selenium.common.exceptions import WebDriverException
-from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.proxy import Proxy, ProxyType
 from selenium.webdriver.remote.client_config import ClientConfig
 from selenium.webdriver.remote.remote_connection import RemoteConnection
 from urllib3.exceptions import HTTPError
 
-from browser_farm.chrome import reaper
+from browser_farm.chrome.driver import Driver
+from browser_farm.chrome.launch_errors import (
+    INSTALL,
+    Cause,
+    error_line,
+    find_cause,
+    find_cause_of_chrome,
+    find_cause_of_driver,
+)
+from giirl_core.config.sections import Sandbox
+from giirl_core.files import short_temporary_folder
 
-INSTALL = "apt-get install chromium chromium-driver"
 CHROMES = ("chromium", "chromium-browser", "google-chrome-stable", "google-chrome", "chrome")
 DRIVERS = ("chromedriver", "chromium.chromedriver")
+SANDBOX_VARIABLE = "GIIRL_CHROME_SANDBOX"
 SMALL_SHM_BYTES = 1 << 29
-MAX_DIRECTORY_LENGTH = 30  # characters; Chrome adds about 75, and the path of a Unix socket holds 107
 NO_NETWORK = "--host-resolver-rules=MAP * ~NOTFOUND"  # for pages
 FLAGS = (
     "--allow-file-access-from-files",  # pages read their own style sheets
@@ -38,7 +46,7 @@ FLAGS = (
     "--disable-extensions",
     # Features for people that each start a process, or download something.
     "--disable-features=Translate,OptimizationHints,MediaRouter,DialMediaRouteProvider,"
-    "SpareRendererForSitePerProcess,WebUIOmniboxPopup,WebUIOmniboxAimPopup",
+    "SpareRendererForSitePerProcess,WebUIOmniboxPopup,WebUIOmniboxAimPopup,AutofillServerCommunication",
     "--disable-gpu",
     "--disable-hang-monitor",
     "--disable-ipc-flooding-protection",
@@ -54,6 +62,7 @@ FLAGS = (
     NO_NETWORK,
     "--js-flags=--max-semi-space-size=2",  # MB; many pages share a heap, whose young generation would grow otherwise
     "--lang=en-US",
+    "--log-level=2",  # errors only
     "--metrics-recording-only",
     "--mute-audio",
     "--no-default-browser-check",
@@ -64,41 +73,46 @@ FLAGS = (
 )
 
 
-class ChromeMissing(RuntimeError):
+class CannotLaunch(RuntimeError):
+    """Chrome does not start on this machine as it is set up: another attempt would fail alike."""
+
+
+class ChromeMissing(CannotLaunch):
     """Chrome or chromedriver is not installed."""
 
 
 class LaunchFailed(RuntimeError):
-    """Chrome is installed but did not start."""
+    """Chrome did not start this time."""
 
 
 def find(variable: str, names: tuple[str, ...], what: str) -> Path:
-    """The program whose path is in the environment variable, else the first of `names` on PATH.
+    """The absolute path of the program in the environment variable, else of the first of `names` on PATH.
 
     ChromeMissing when there is none; `what` names the program in the message.
     """
     given = os.environ.get(variable)
     if given:
         if os.access(given, os.X_OK) and Path(given).is_file():
-            return Path(given)
+            return Path(given).absolute()
         raise ChromeMissing(f"{variable}={given} is not a program: wanted the path of {what} ({INSTALL})")
     for name in names:
         path = shutil.which(name)
         if path:
-            return Path(path)
+            return Path(path).absolute()
     raise ChromeMissing(f"no {what} on PATH (looked for {', '.join(names)}): {INSTALL}, or set {variable}")
 
 
-def _first_line(error: Exception) -> str:
-    """The message of a selenium error, without stack trace and link to the documentation."""
-    first = str(error).partition("\n")[0].removeprefix("Message: ").partition("; For documentation")[0]
-    return first or type(error).__name__
+def uses_sandbox(wanted: Sandbox) -> bool:
+    """Whether Chrome runs in its sandbox: as `wanted`, else as GIIRL_CHROME_SANDBOX says, else unless this is root.
 
-
-def _short_directory() -> str:
-    """The directory for temporary files, or /tmp if the path of Chrome's socket in it would be too long."""
-    default = tempfile.gettempdir()
-    return default if len(default) <= MAX_DIRECTORY_LENGTH else "/tmp"
+    Raises ValueError for a word that is not a Sandbox.
+    """
+    for name, value in (("chrome_sandbox", wanted), (SANDBOX_VARIABLE, os.environ.get(SANDBOX_VARIABLE) or "auto")):
+        if value not in ("auto", "on", "off"):
+            raise ValueError(f"{name} is {value!r}: wanted auto, on or off")
+        if value != "auto":
+            return value == "on"
+    return os.geteuid() != 0  # Chrome refuses to run as root with its sandbox
 
 
 class Chrome:
@@ -107,92 +121,125 @@ class Chrome:
     `debugger_address` is host:port and `first_target` the tab that Chrome opens at its start. `hub_url` is a page that
     may script the task pages: an empty file, or `base_url` if a server has them.
 
-    Raises ChromeMissing or LaunchFailed.
+    `extra_flags` are added to FLAGS; of two with the same name the last one holds.
+
+    Raises CannotLaunch or LaunchFailed, and ValueError for a wrong GIIRL_CHROME_SANDBOX.
     """
 
-    def __init__(self, *, headless: bool, no_sandbox: bool | None, timeout_s: float, base_url: str = "") -> None:
-        binary = find("GIIRL_CHROME", CHROMES, "Chrome")
-        driver = find("GIIRL_CHROMEDRIVER", DRIVERS, "chromedriver")
-        parent = _short_directory()
+    def __init__(
+        self,
+        *,
+        headless: bool,
+        sandbox: Sandbox,
+        timeout_s: float,
+        base_url: str = "",
+        extra_flags: Sequence[str] = (),
+    ) -> None:
+        with_sandbox = uses_sandbox(sandbox)
+        self._binary = find("GIIRL_CHROME", CHROMES, "Chrome")
+        self._program = find("GIIRL_CHROMEDRIVER", DRIVERS, "chromedriver")
+        self._timeout_s = timeout_s
+        parent = short_temporary_folder()
         try:
             self.directory = Path(tempfile.mkdtemp(prefix="giirl-chrome-", dir=parent))
         except OSError as error:
-            raise LaunchFailed(f"cannot create a folder for Chrome in {parent}: {error.strerror}") from error
-        self._service: Service | None = None
+            fix = "set TMPDIR to a folder that can be written"
+            raise CannotLaunch(f"cannot create a folder for Chrome in {parent}: {error.strerror}; {fix}") from error
+        self._driver: Driver | None = None
         self._connection: RemoteConnection | None = None
-        self._reaper = reaper.Reaper(self.directory)
         self._server = urlsplit(base_url).hostname  # None unless a server has the pages
         try:
-            session = self._launch(binary, driver, headless, no_sandbox, timeout_s)
-            self.debugger_address = str(session.capabilities["goog:chromeOptions"]["debuggerAddress"])
-            self.first_target = str(session.current_window_handle)
+            self._launch(self._options(headless, with_sandbox, extra_flags))
             hub = self.directory / "hub.html"
             hub.write_text("<!DOCTYPE html>", encoding="utf-8")
             self.hub_url = base_url if self._server else hub.as_uri()
         except OSError as error:
             self.end()
-            raise LaunchFailed(f"Chrome cannot use its folder {self.directory}: {error.strerror}") from error
+            raise CannotLaunch(f"Chrome cannot use its folder {self.directory}: {error.strerror}") from error
         except BaseException:
             self.end()
             raise
 
-    def _launch(
-        self, binary: Path, driver: Path, headless: bool, no_sandbox: bool | None, timeout_s: float
-    ) -> webdriver.Remote:
+    def _launch(self, options: webdriver.ChromeOptions) -> None:
         (self.directory / "tmp").mkdir()
-        options = webdriver.ChromeOptions()
-        options.binary_location = str(binary)
-        for flag in self._flags(headless, no_sandbox):
-            options.add_argument(flag)
-        environment = {
-            reaper.DIRECTORY_VARIABLE: str(self.directory),
-            "TZ": "UTC",
-            "TMPDIR": str(self.directory / "tmp"),
-        }
-        self._service = Service(
-            executable_path=str(driver),
-            log_output=subprocess.DEVNULL,
-            # A session of its own, so that Ctrl-C in the terminal reaches the owner only.
-            popen_kw={"start_new_session": True},
-            env={**os.environ, **environment},
-        )
+        try:
+            driver = Driver(self._program, self.directory, {"TZ": "UTC", "TMPDIR": str(self.directory / "tmp")})
+        except OSError as error:
+            raise self._error(self._program, str(error), find_cause(str(error))) from error
+        self._driver = driver
         # Selenium has no timeout for the whole launch. Killing the processes makes its call return.
-        watchdog = threading.Timer(timeout_s, reaper.reap, [self.directory])
+        watchdog = threading.Timer(self._timeout_s, driver.stop)
         watchdog.daemon = True
         watchdog.start()
+        timed_out = watchdog.finished.is_set
         try:
-            self._service.start()
-            config = ClientConfig(
-                remote_server_addr=self._service.service_url,
-                proxy=Proxy({"proxyType": ProxyType.DIRECT}),
-                timeout=math.ceil(timeout_s),
-            )
-            self._connection = RemoteConnection(client_config=config)
-            return webdriver.Remote(command_executor=self._connection, options=options)
+            port = driver.wait_for_port(2 * self._timeout_s)
+            if port is None:
+                cause = None if timed_out() else find_cause_of_driver(driver.output)
+                raise self._error(self._program, driver.output, cause, timed_out=timed_out())
+            self._open_session(port, options)
         except (WebDriverException, HTTPError, OSError) as error:
-            raise LaunchFailed(f"{binary} did not start within {timeout_s:g} s: {_first_line(error)}") from error
+            late = timed_out()
+            driver.end()  # then its output is complete
+            if late:  # the error is of our making
+                raise self._error(self._binary, driver.output, find_cause(driver.output), timed_out=True) from error
+            said = f"{_first_line(error)}\n{driver.output}"
+            raise self._error(self._binary, said, find_cause_of_chrome(said, self._binary)) from error
         finally:
             watchdog.cancel()
+        driver.launched()
 
-    def _flags(self, headless: bool, no_sandbox: bool | None) -> list[str]:
-        flags = [*FLAGS, f"--user-data-dir={self.directory}/profile"]
+    def _open_session(self, port: int, options: webdriver.ChromeOptions) -> None:
+        """Let the chromedriver at this port start Chrome."""
+        config = ClientConfig(
+            remote_server_addr=f"http://127.0.0.1:{port}",
+            proxy=Proxy({"proxyType": ProxyType.DIRECT}),
+            timeout=math.ceil(self._timeout_s),
+        )
+        self._connection = RemoteConnection(client_config=config)
+        session = webdriver.Remote(command_executor=self._connection, options=options)
+        # The address names the host, "localhost", which may stand for ::1 alone.
+        debugger_port = str(session.capabilities["goog:chromeOptions"]["debuggerAddress"]).rpartition(":")[2]
+        self.debugger_address = f"127.0.0.1:{debugger_port}"
+        self.first_target = str(session.current_window_handle)
+
+    def _error(self, program: Path, said: str, cause: Cause | None, *, timed_out: bool = False) -> RuntimeError:
+        """What to raise for a program that has `said` this: CannotLaunch if another attempt would fail alike."""
+        when = f" within {self._timeout_s:g} s" if timed_out else ""
+        why = error_line(said) or "it said nothing"
+        message = f"{program} did not start{when}: {why}{f'; {cause.fix}' if cause else ''}"
+        return CannotLaunch(message) if cause and cause.lasting else LaunchFailed(message)
+
+    def _options(self, headless: bool, with_sandbox: bool, extra_flags: Sequence[str]) -> webdriver.ChromeOptions:
+        options = webdriver.ChromeOptions()
+        options.binary_location = str(self._binary)
+        flags = [*FLAGS, *extra_flags, f"--user-data-dir={self.directory}/profile"]
         if headless:
             flags.append("--headless=new")
         if self._server:
             flags.append(f"{NO_NETWORK}, EXCLUDE {self._server}")  # of a flag that is given twice the last one holds
-        if os.geteuid() == 0 if no_sandbox is None else no_sandbox:
-            flags.append("--no-sandbox")  # Chrome refuses to run as root with its sandbox
+        if not with_sandbox:
+            flags.append("--no-sandbox")
         if not Path("/dev/shm").is_dir() or shutil.disk_usage("/dev/shm").free < SMALL_SHM_BYTES:
             flags.append("--disable-dev-shm-usage")
-        return flags
+        for flag in flags:
+            options.add_argument(flag)
+        return options
 
     def end(self) -> None:
-        """Kill the process tree and remove the directory. Nothing in the profile is worth a clean shutdown."""
-        reaper.reap(self.directory)
+        """Kill the process tree and remove the directory. Nothing in the profile is worth a clean shutdown.
+
+        In a fork of the process that launched it, Chrome is left alone.
+        """
         if self._connection is not None:
             self._connection.close()  # type: ignore[no-untyped-call]
-        process = getattr(self._service, "process", None)  # missing when chromedriver could not be started
-        if process is not None:
-            process.wait(timeout=reaper.TIMEOUT_S)
-            process.stdin.close()
-        self._reaper.end()
+        if self._driver is not None:
+            self._driver.end()
+        else:
+            shutil.rmtree(self.directory, ignore_errors=True)
+
+
+def _first_line(error: Exception) -> str:
+    """The message of a selenium error, without stack trace and link to the documentation."""
+    first = str(error).partition("\n")[0].removeprefix("Message: ").partition("; For documentation")[0]
+    return first or type(error).__name__

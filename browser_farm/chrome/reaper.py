@@ -1,12 +1,16 @@
-"""Kills every Chrome process of a farm once its owner has ended, even by SIGKILL.
+"""The parent of one chromedriver: ends it and its Chrome when their owner says so or has ended, even by SIGKILL.
 
-It runs as a process of its own, started before Chrome: `python reaper.py FARM_DIRECTORY OWNER_PID`. Its standard input
-is a pipe from the owner. Nothing is written to it, so end-of-file means that the owner has ended. The process detaches
-from its parent, since a Ray worker whose node dies kills its children before it exits itself.
+`python reaper.py FARM_DIRECTORY OWNER_PID CHROMEDRIVER [ARGUMENT...]`, in a session of its own. Its standard input is a
+pipe from the owner: whatever arrives there, or the end of the file, ends the processes.
+
+The work is done by a child of the process that was started. The child is out of reach of whoever ends the children of
+its owner, as Ray does when a node dies. It is a subreaper: it inherits the orphans of Chrome and waits for them, which
+otherwise fall to process 1, and in a container that may be a program that waits for nobody. Its parent waits for it.
 """
 
 from __future__ import annotations
 
+import ctypes
 import os
 import select
 import shutil
@@ -18,34 +22,8 @@ from pathlib import Path
 
 DIRECTORY_VARIABLE = "GIIRL_FARM_DIRECTORY"  # in the environment of chromedriver, which its children inherit
 TIMEOUT_S = 10.0
-
-
-class Reaper:
-    """Starts the reaper process from the owner's side."""
-
-    def __init__(self, directory: Path) -> None:
-        self._parent = subprocess.Popen(
-            [sys.executable, "-I", "-S", __file__, str(directory), str(os.getpid())],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-            cwd="/",
-        )
-        assert self._parent.stdout is not None
-        self._output = self._parent.stdout  # at end-of-file once the reaper has exited
-        self._pid = int(self._output.readline())
-        self._parent.wait()
-
-    def end(self) -> None:
-        """Let the reaper kill the processes, and wait until it has exited."""
-        assert self._parent.stdin is not None
-        self._parent.stdin.close()
-        poller = select.poll()
-        poller.register(self._output)
-        if not poller.poll(2000 * TIMEOUT_S):  # milliseconds: twice its own timeout
-            os.kill(self._pid, signal.SIGKILL)
-        self._output.close()
+POLL_S = 0.2  # between two looks for children that have ended
+PR_SET_CHILD_SUBREAPER = 36
 
 
 def processes(directory: Path) -> set[int]:
@@ -60,7 +38,7 @@ def processes(directory: Path) -> set[int]:
         if not entry.isdigit() or int(entry) == os.getpid():
             continue
         try:
-            stat = (path / "stat").read_text(errors="replace")
+            stat = (path / "stat").read_text(encoding="utf-8", errors="replace")
             command = (path / "cmdline").read_bytes()
             environment = (path / "environ").read_bytes()
         except OSError:
@@ -99,23 +77,48 @@ def reap(directory: Path, *, timeout_s: float = TIMEOUT_S) -> None:
     shutil.rmtree(directory, ignore_errors=True)
 
 
-def main(directory: Path, owner: int) -> None:
+def main(directory: Path, owner: int, command: list[str]) -> None:
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(name, signal.SIG_IGN)
-    pid = os.fork()
-    if pid:
-        print(pid, flush=True)  # noqa: T201, the owner reads the pid
+        signal.signal(name, lambda *_: None)  # unlike SIG_IGN, this is not passed on to chromedriver
+    if worker := os.fork():
+        os.waitpid(worker, 0)
         return
+    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+    environment = {**os.environ, DIRECTORY_VARIABLE: str(directory)}
     try:
-        owner_exit = os.pidfd_open(owner)  # a fork of the owner may keep the pipe open: watch the owner as well
-    except ProcessLookupError:
-        owner_exit = 0
-    while True:
-        readable, _, _ = select.select([0, owner_exit], [], [])
-        if owner_exit in readable or not os.read(0, 1):
-            break
+        subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True, env=environment)
+    except OSError as error:
+        sys.stderr.write(f"{command[0]}: {error.strerror}\n")
+    else:
+        _wait_for_end(owner)
     reap(directory)
+    deadline = time.monotonic() + TIMEOUT_S
+    while _has_children() and time.monotonic() < deadline:
+        time.sleep(0.01)
+
+
+def _wait_for_end(owner: int) -> None:
+    """Return when the owner has ended or has written to its pipe, or when no child is left."""
+    ends = [0]
+    try:
+        ends.append(os.pidfd_open(owner))  # a fork of the owner may keep the pipe open: watch the owner as well
+    except ProcessLookupError:
+        return
+    except OSError:
+        pass  # old kernels and some containers do not offer it
+    while _has_children() and not select.select(ends, [], [], POLL_S)[0]:
+        pass
+
+
+def _has_children() -> bool:
+    """Wait for the children that have ended; whether there are others."""
+    try:
+        while os.waitpid(-1, os.WNOHANG)[0]:
+            pass
+    except ChildProcessError:
+        return False
+    return True
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]))
+    main(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3:])

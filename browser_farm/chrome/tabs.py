@@ -5,7 +5,8 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import tenacity
@@ -15,12 +16,30 @@ from browser_farm.chrome.answers import Failure, parse_evaluation
 from browser_farm.chrome.devtools import BROWSER, BrowserGone, DevTools, Json, Reply, browser_url
 from browser_farm.chrome.hub import Hub, Tab
 from browser_farm.chrome.launcher import Chrome, LaunchFailed
+from giirl_core.config.sections import Sandbox
 
 LAUNCH_ATTEMPTS = 3
 MAX_BACKOFF_S = 5.0
 PROCESSES = 2  # renderers that share the tabs, so that one page computes while another is read
 MAX_TABS_PER_PROCESS = 16  # they crash together
 OPENING_PERIODS = 4  # a document may take this many times the timeout of a call to open
+
+
+def try_launching(launch: Callable[[], None]) -> None:
+    """Launch a Chrome, again after a failure.
+
+    RuntimeError after 3 attempts, or after the first if another would fail alike.
+    """
+    attempts = tenacity.Retrying(
+        stop=tenacity.stop_after_attempt(LAUNCH_ATTEMPTS),
+        wait=tenacity.wait_random_exponential(multiplier=0.5, max=MAX_BACKOFF_S),
+        retry=tenacity.retry_if_exception_type((LaunchFailed, BrowserGone, TimeoutError)),
+    )
+    try:
+        attempts(launch)
+    except tenacity.RetryError as error:
+        last = error.last_attempt.exception()
+        raise RuntimeError(f"Chrome did not start in {LAUNCH_ATTEMPTS} attempts: {last}") from last
 
 
 class Tabs:
@@ -38,15 +57,16 @@ class Tabs:
         call_timeout_s: float,
         launch_timeout_s: float,
         headless: bool,
-        no_sandbox: bool | None,
+        sandbox: Sandbox,
         base_url: str = "",
     ) -> None:
+        self._owner = os.getpid()
         self._count = count
         self._view = view
         self._call_timeout_s = call_timeout_s
         self._launch_timeout_s = launch_timeout_s
         self._headless = headless
-        self._no_sandbox = no_sandbox
+        self._sandbox = sandbox
         self._base_url = base_url
         self._chrome: Chrome | None = None
         self._devtools: DevTools | None = None
@@ -58,17 +78,11 @@ class Tabs:
         return self._chrome
 
     def launch(self) -> None:
-        """End the current Chrome, if any, and start another with its tabs; RuntimeError after 3 attempts."""
-        attempts = tenacity.Retrying(
-            stop=tenacity.stop_after_attempt(LAUNCH_ATTEMPTS),
-            wait=tenacity.wait_random_exponential(multiplier=0.5, max=MAX_BACKOFF_S),
-            retry=tenacity.retry_if_exception_type((LaunchFailed, BrowserGone, TimeoutError)),
-        )
-        try:
-            attempts(self._launch_once)
-        except tenacity.RetryError as error:
-            last = error.last_attempt.exception()
-            raise RuntimeError(f"Chrome did not start in {LAUNCH_ATTEMPTS} attempts: {last}") from last
+        """End the current Chrome, if any, and start another with its tabs.
+
+        RuntimeError as `try_launching`.
+        """
+        try_launching(self._launch_once)
 
     def close(self) -> None:
         if self._devtools is not None:
@@ -158,6 +172,10 @@ class Tabs:
 
     @property
     def _tools(self) -> DevTools:
+        if os.getpid() != self._owner:
+            raise RuntimeError(
+                f"this Chrome belongs to process {self._owner}: its fork {os.getpid()} must open another"
+            )
         if self._devtools is None:
             raise BrowserGone("Chrome is not running")
         return self._devtools
@@ -166,7 +184,7 @@ class Tabs:
         self.close()
         self._chrome = Chrome(
             headless=self._headless,
-            no_sandbox=self._no_sandbox,
+            sandbox=self._sandbox,
             timeout_s=self._launch_timeout_s,
             base_url=self._base_url,
         )

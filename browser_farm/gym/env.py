@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from browser_farm.gym.adapter import ActionDict, Fields, MiniWoBAdapter, ObservationDict
 from browser_farm.gym.launch import checked_render_mode, checked_task, is_due, open_farm
 from browser_farm.gym.slot import EnvSlot, ResetOptions, checked_seed
+from giirl_core.config.sections import Sandbox
 
 ATTENTION_CELLS = 20  # rows and columns that core.visualizeAttention can place
 StepTuple = tuple[ObservationDict, float, bool, bool, dict[str, Any]]
@@ -60,6 +61,7 @@ class MiniWoB(gymnasium.Env[ObservationDict, ActionDict]):
         root_dom: bool = True,  # False omits the tree of DOMElement from `info`, which saves time
         trusted: bool = False,  # coordinates and keys as Chrome's native input, like the package's: slower
         call_timeout_s: float = 10.0,
+        chrome_sandbox: Sandbox = "auto",
     ) -> None:
         del block_on_reset
         self.render_mode = checked_render_mode(render_mode, self.metadata["render_modes"])
@@ -81,6 +83,7 @@ class MiniWoB(gymnasium.Env[ObservationDict, ActionDict]):
             real_time=real_time,
             trusted=trusted,
             call_timeout_s=call_timeout_s,
+            chrome_sandbox=chrome_sandbox,
         )
 
     def reset(

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from browser_farm.farm import ChromeFarm
 from browser_farm.gym.elements import ELEMENTS
+from giirl_core.config.sections import Sandbox
 
 
 def open_farm(
@@ -18,6 +19,7 @@ def open_farm(
     real_time: bool,
     trusted: bool,
     call_timeout_s: float,
+    chrome_sandbox: Sandbox,
 ) -> ChromeFarm:
     """A farm whose pages are read as the package reads them; ValueError for a wait that no call would outlast."""
     if not (math.isfinite(wait_ms) and 0 <= wait_ms < 1000 * call_timeout_s):
@@ -31,6 +33,7 @@ def open_farm(
         headless=render_mode != "human",
         trusted=trusted,
         call_timeout_s=call_timeout_s,
+        chrome_sandbox=chrome_sandbox,
     )
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from browser_farm.gym.adapter import ActionDict, Fields, MiniWoBAdapter, ObservationDict
 from browser_farm.gym.launch import checked_render_mode, is_due, open_farm
 from browser_farm.gym.slot import RESET_RESULT, EnvSlot, ResetOptions, checked_seed
+from giirl_core.config.sections import Sandbox
 from giirl_core.types import Command, EpisodeSpec, Observation, StepResult
 
 Flags = NDArray[np.bool_]
@@ -69,6 +70,7 @@ class MiniWoBVector(VectorEnv[ObservationDict, Any, NDArray[Any]]):
         root_dom: bool = False,
         trusted: bool = False,
         call_timeout_s: float = 10.0,
+        chrome_sandbox: Sandbox = "auto",
     ) -> None:
         del block_on_reset
         self.render_mode = checked_render_mode(render_mode, self.metadata["render_modes"])
@@ -100,6 +102,7 @@ class MiniWoBVector(VectorEnv[ObservationDict, Any, NDArray[Any]]):
             real_time=real_time,
             trusted=trusted,
             call_timeout_s=call_timeout_s,
+            chrome_sandbox=chrome_sandbox,
         )
 
     def reset(

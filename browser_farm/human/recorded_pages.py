@@ -6,17 +6,24 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from giirl_core.types import Page
 
 MAX_ROWS = 5_000  # recorded pages have at most 127 nodes; Page.parent is int16
 MAX_DEPTH = 100  # recorded pages nest about ten deep; the limit keeps hostile files from overflowing the stack
+SCROLLED_PX = 8.0  # the content of a container is scrolled if it begins this far above the container
 MAX_NUMBER = 1e6
 # Elements that are left out with everything in them.
 HIDDEN_TAGS = frozenset({"br", "script", "style", "head", "link", "meta", "title", "template", "noscript"})
 HIDDEN_IDS = frozenset({"query", "reward-display", "sync-task-cover", "click-canvas", "attention-canvas"})
+# Text for screen readers. It names the option below the mouse, which reveals a person's next action.
+HIDDEN_CLASS = "ui-helper-hidden-accessible"
 UNWRAPPED_IDS = frozenset({"wrap", "mturk_form"})  # left out, but their children are rows
 TEXT_TAG = "t"
+CONTROL_TAGS = ("button", "input", "textarea", "select")  # prefixes of tags that have the browser's own colour
+TRANSPARENT = frozenset({"", "transparent", "rgba(0, 0, 0, 0)"})
+SHAPES = {"polygon": "triangle", "rect": "rectangle", "circle": "circle"}  # recorded pages have no other polygons
 VALUE_TAGS = ("input", "textarea")  # prefixes of tags that show their value instead of text
 
 
@@ -30,6 +37,7 @@ class Node:
     text: str  # white space collapsed, "" except on leaves
     value: str  # value of a field; "checked" or "" for a checkbox or radio button
     classes: str
+    colour: str  # CSS colour of the background, "" if transparent
     box: tuple[float, float, float, float]  # left, top, width, height in CSS px
     focused: bool
     target: bool  # target of the recorded event
@@ -52,12 +60,33 @@ class Screen:
             text=tuple(node.text for node in nodes),
             value=tuple(node.value for node in nodes),
             classes=tuple(node.classes for node in nodes),
+            attributes=tuple(node.id for node in nodes),
+            colour=tuple(
+                node.colour if self.is_leaf(row) and not node.text and not node.tag.startswith(CONTROL_TAGS) else ""
+                for row, node in enumerate(nodes)
+            ),
+            shape=tuple(SHAPES.get(node.tag, "") for node in nodes),
             ref=np.array([node.ref for node in nodes], dtype=np.int32),
             parent=np.array(self.parents, dtype=np.int16),
-            box=np.array([node.box for node in nodes], dtype=np.float32).reshape(len(nodes), 4),
+            box=self._unscrolled(),
             focused=np.array([node.focused for node in nodes], dtype=np.bool_),
             tampered=np.array([node.ref in tampered for node in nodes], dtype=np.bool_),
         )
+
+    def _unscrolled(self) -> NDArray[np.float32]:
+        """[E, 4] the boxes before scrolling. A person scrolls to the next target, so scrolled boxes would reveal it."""
+        boxes = np.array([node.box for node in self.nodes], dtype=np.float32).reshape(len(self.nodes), 4)
+        shift = np.zeros(len(boxes), dtype=np.float32)
+        scrolled: dict[int, float] = {}  # row -> px by which its children are scrolled up
+        for row, parent in enumerate(self.parents):
+            if parent < 0:
+                continue
+            if parent not in scrolled:  # `row` is its first child
+                above = float(boxes[parent, 1] - boxes[row, 1])
+                scrolled[parent] = above if above > SCROLLED_PX else 0.0
+            shift[row] = shift[parent] + scrolled[parent]
+        boxes[:, 1] += shift
+        return boxes
 
     def same_except_focus(self, other: Screen, *, compare_boxes: bool = True) -> bool:
         """Whether two pages are equal except for the focus, and except for positions if compare_boxes=False."""
@@ -96,7 +125,7 @@ def flatten(body: Node) -> Screen:
 
     def walk(children: Sequence[Node], parent: int) -> None:
         for node in children:
-            if node.tag in HIDDEN_TAGS or node.id in HIDDEN_IDS:
+            if node.tag in HIDDEN_TAGS or node.id in HIDDEN_IDS or HIDDEN_CLASS in node.classes:
                 continue
             if node.id in UNWRAPPED_IDS:
                 walk(node.children, parent)
@@ -135,7 +164,9 @@ def parse_node(raw: object, where: str, depth: int = 0) -> Node:
         ref=ref,
         text="" if children or tag.lower().startswith(VALUE_TAGS) else " ".join(_text(raw, "text", where).split()),
         value=("checked" if value else "") if isinstance(value, bool) else value,
-        classes="" if isinstance(raw.get("classes"), dict) else _text(raw, "classes", where),  # SVG elements have {}
+        colour=colour if (colour := str(raw.get("bgColor") or "")) not in TRANSPARENT else "",
+        # SVG elements have {}.
+        classes="" if isinstance(raw.get("classes"), dict) else _without_hover(_text(raw, "classes", where)),
         box=(
             read_number(raw, "left", where),
             read_number(raw, "top", where),
@@ -167,6 +198,14 @@ def read_number(raw: Mapping[str, object], key: str, where: str, default: object
             f"{_describe_key(raw, key, where)} is {_describe(value)}, wanted a number of at most {MAX_NUMBER:.0e}"
         )
     return float(value)
+
+
+def _without_hover(classes: str) -> str:
+    """The classes without those of elements below the mouse, which would reveal what a person clicks next."""
+    names = [name for name in classes.split(" ") if "hover" not in name]
+    if "ui-menu-item-wrapper" in names:
+        names = [name for name in names if name != "ui-state-active"]
+    return " ".join(names)
 
 
 def _text(raw: Mapping[str, object], key: str, where: str) -> str:

@@ -15,6 +15,7 @@ from browser_farm.chrome.answers import Failure
 from browser_farm.chrome.devtools import BrowserGone
 from browser_farm.chrome.tabs import Tabs
 from browser_farm.tasks import page_url
+from giirl_core.config.sections import Sandbox
 from giirl_core.keys import parse_chord
 from giirl_core.types import (
     DEMONSTRATION,
@@ -44,7 +45,7 @@ class Interrupted(Exception):
 class Recorder:
     """One Chrome with one window, in which `record` shows a page until the person has ended its episode.
 
-    Timeouts are in seconds. `no_sandbox` is passed to Chrome's launcher; None lets it decide.
+    Timeouts are in seconds. `chrome_sandbox` is as in `browser_farm.farm.ChromeFarm`.
     """
 
     def __init__(
@@ -53,7 +54,7 @@ class Recorder:
         headless: bool = False,
         call_timeout_s: float = 10.0,
         launch_timeout_s: float = 60.0,
-        no_sandbox: bool | None = None,
+        chrome_sandbox: Sandbox = "auto",
     ) -> None:
         self._tabs = Tabs(
             1,
@@ -61,7 +62,7 @@ class Recorder:
             call_timeout_s=call_timeout_s,
             launch_timeout_s=launch_timeout_s,
             headless=headless,
-            no_sandbox=no_sandbox,
+            sandbox=chrome_sandbox,
         )
         try:
             self._tabs.launch()

@@ -7,8 +7,6 @@ Exploration, 2018.
 from __future__ import annotations
 
 import difflib
-import gzip
-import json
 import zlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -21,14 +19,13 @@ from browser_farm.human.action_inference import infer_actions
 from browser_farm.human.gesture_context import InferredAction
 from browser_farm.human.gestures import RecordedState, UnsupportedRecording
 from browser_farm.human.recorded_pages import parse_node, read_number
+from browser_farm.human.recording_files import find_recordings, name_of, read_json
 from browser_farm.human.spans import equivalent_span
 from giirl_core.types import DEMONSTRATION, NO_SPAN, Action, Episode, Goal, Outcome, Trajectory, Verb
 
-MAX_BYTES = 64 << 20  # decompressed; the largest public recording has 5 MB
-SUFFIXES = (".json.gz", ".json")
-GZIP_MAGIC = b"\x1f\x8b"
 FAILED = "failed"
 DUPLICATE = "duplicate"
+UNREADABLE = "unreadable"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,6 +46,7 @@ class TaskImport:
     failures: int  # imported; their outcome marks them
     skipped: Mapping[str, int] = field(default_factory=dict)  # reason -> files
     unread: int = 0  # not read, because the limit was reached
+    unreadable: tuple[str, ...] = ()  # for each file that is not a recording: its path, and why not
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,6 +65,11 @@ class ImportReport:
             rows.append(f"{task:{width}}  {numbers}  {reasons}".rstrip())
         return rows
 
+    @property
+    def unreadable(self) -> list[str]:
+        """For each file that is not a recording: its path, and why not."""
+        return [line for count in self.tasks.values() for line in count.unreadable]
+
     def summary(self) -> dict[str, object]:
         """The counts as JSON values: totals, and each task."""
         counts = self.tasks.values()
@@ -81,9 +84,7 @@ class ImportReport:
 def read_recording(path: Path) -> ImportedRecording:
     """Read one recording. Its task is the name of its folder. ValueError if the file is not a recording."""
     try:
-        recording = _parse(json.loads(_read_bytes(path), parse_constant=_refuse_constant))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is not a recording: not JSON ({error}), wanted a recorded episode") from error
+        recording = _parse(read_json(path))
     except RecursionError as error:
         raise ValueError(f"{path} is not a recording: nested too deep, wanted a recorded episode") from error
     except ValueError as error:
@@ -111,8 +112,9 @@ def import_recordings(
 
     `root` is the folder of all collections, of one collection, or of one task of a collection. After `limit` clean
     recordings of a task, its other files are not read. The returned episodes include failed ones; their outcome marks
-    them. A recording that is in two collections is imported once. `on_file` is called for each file read. ValueError
-    for an unknown task or collection, a folder without recordings, or a file that is not a recording.
+    them. A recording that is in two collections is imported once. A file that is not a recording is left out and named
+    in the report. `on_file` is called for each file read. ValueError for an unknown task or collection, or a folder
+    without recordings.
     """
     if limit is not None and limit < 1:
         raise ValueError(f"limit is {limit}, wanted at least 1")
@@ -129,55 +131,43 @@ def import_recordings(
     return episodes, ImportReport(tasks=counts)
 
 
-def find_recordings(root: Path, *, collections: Sequence[str] | None = None) -> dict[str, list[Path]]:
-    """Map each task to its recordings, sorted by collection and file name. ValueError if there are none."""
-    if not root.is_dir():
-        raise ValueError(f"{root} is not a folder, wanted a folder with recordings as COLLECTION/TASK/*.json.gz")
-    root = root.resolve()
-    paths = [
-        path
-        for depth in ("*", "*/*", "*/*/*")
-        for path in root.glob(depth)
-        if path.name.endswith(SUFFIXES) and path.is_file()
-    ]
-    existing = {path.parent.parent.name for path in paths}
-    for name in collections or ():
-        if name not in existing:
-            raise ValueError(f"{root} has no collection {name!r}, wanted one of: {', '.join(sorted(existing))}")
-    found: dict[str, list[Path]] = {}
-    for path in sorted(paths):
-        if collections is None or path.parent.parent.name in collections:
-            found.setdefault(path.parent.name, []).append(path)
-    if not found:
-        raise ValueError(f"{root} has no recordings, wanted files COLLECTION/TASK/*.json.gz below it")
-    return dict(sorted(found.items()))
-
-
 def _import_task(
     paths: Sequence[Path], limit: int | None, on_file: Callable[[], None]
 ) -> tuple[list[Episode], TaskImport]:
     episodes: list[Episode] = []
     skipped: Counter[str] = Counter()
     names: set[str] = set()
+    unreadable: list[str] = []
     clean = failures = read = 0
     for path in paths:
         if clean == limit:
             break
         read += 1
         on_file()
-        if _stem(path) in names:
+        if name_of(path) in names:
             skipped[DUPLICATE] += 1
             continue
-        names.add(_stem(path))
-        imported = read_recording(path)
+        try:
+            imported = read_recording(path)
+        except ValueError as error:
+            skipped[UNREADABLE] += 1
+            unreadable.append(str(error))
+            continue
+        names.add(name_of(path))  # only now: another collection may have a sound copy
         if imported.episode is None:
             skipped[imported.reason] += 1
             continue
         episodes.append(imported.episode)
         clean += imported.clean
         failures += not imported.clean
-    unread = len(paths) - read
-    return episodes, TaskImport(files=len(paths), clean=clean, failures=failures, skipped=dict(skipped), unread=unread)
+    return episodes, TaskImport(
+        files=len(paths),
+        clean=clean,
+        failures=failures,
+        skipped=dict(skipped),
+        unread=len(paths) - read,
+        unreadable=tuple(unreadable),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -187,32 +177,6 @@ class _Recording:
     goal: Goal
     states: tuple[RecordedState, ...]
     raw_reward: float  # the page's reward without time decay
-
-
-def _read_bytes(path: Path) -> bytes:
-    """The file's bytes, decompressed if they are gzip. The suffix is not reliable in the public recordings."""
-    try:
-        with path.open("rb") as file:
-            compressed = file.read(2) == GZIP_MAGIC
-            file.seek(0)
-            if compressed:
-                with gzip.GzipFile(fileobj=file) as inner:
-                    content = inner.read(MAX_BYTES + 1)
-            else:
-                content = file.read(MAX_BYTES + 1)
-    except EOFError as error:
-        raise ValueError("the gzip data is truncated, wanted a complete file") from error
-    except (gzip.BadGzipFile, zlib.error) as error:
-        raise ValueError(f"the gzip data is damaged ({error}), wanted a complete file") from error
-    except OSError as error:
-        raise ValueError(f"cannot be read ({error.strerror}), wanted a file") from error
-    if len(content) > MAX_BYTES:
-        raise ValueError(f"contains more than {MAX_BYTES >> 20} MB, wanted one recorded episode")
-    return content
-
-
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"contains {name}, wanted finite numbers")
 
 
 def _parse(raw: object) -> _Recording:
@@ -269,9 +233,9 @@ def _episode(path: Path, recording: _Recording, inferred: Sequence[InferredActio
         actions.append(Action(verb=action.verb, element=action.row, start=start, end=end))
         tampered.add(screen.acted_ref(action.row))
     trajectory = Trajectory(
-        task=path.resolve().parent.name,
+        task=path.absolute().parent.name,
         goal=recording.goal,
-        seed=zlib.crc32(_stem(path).encode()),  # recordings store no page seed; this one is unique
+        seed=zlib.crc32(name_of(path).encode()),  # recordings store no page seed; this one is unique
         pages=tuple(pages),
         actions=tuple(actions),
         behaviour_logp=np.zeros(len(actions), dtype=np.float32),
@@ -279,8 +243,3 @@ def _episode(path: Path, recording: _Recording, inferred: Sequence[InferredActio
         policy_version=DEMONSTRATION,
     )
     return Episode(trajectory=trajectory, outcome=Outcome(raw_reward=recording.raw_reward, ended=True))
-
-
-def _stem(path: Path) -> str:
-    """The file name without its suffix: the same for every copy of a recording."""
-    return next(path.name.removesuffix(suffix) for suffix in SUFFIXES if path.name.endswith(suffix))

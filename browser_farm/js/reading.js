@@ -1,4 +1,4 @@
-// Reads the visible elements of a page as columns, and the shape and colour of drawings. Runs before page.js.
+// Reads the visible elements of a page as columns, and the colour, shape and attributes of some of them. Runs before page.js.
 const reading = (() => {
   'use strict';
 
@@ -33,6 +33,9 @@ const reading = (() => {
   const overflows = (element) => element.firstElementChild !== null && element.getClientRects().length > 0
     && getComputedStyle(element).overflow === 'visible';
 
+  // Text for screen readers only is in an element of one pixel that shows none of it.
+  const isClipped = (element, box) => box.width <= 1 && box.height <= 1 && getComputedStyle(element).overflow === 'hidden';
+
   const collapse = (text) => text.replace(/\s+/g, ' ').trim().toWellFormed();
 
   function valueOf(element) {
@@ -46,10 +49,20 @@ const reading = (() => {
     return element instanceof HTMLOptionElement && element.selected ? 'checked' : '';
   }
 
-  // The columns of pages.decode_page. `numbers` holds ref, parent row and flags of each row, `drawings` row, colour and
-  // shape of some.
+  // The attributes that describe an element, space-separated. The id is first, as in the human recordings.
+  function attributesOf(node) {
+    const values = [];
+    for (const name of ['id', 'placeholder', 'alt', 'aria-label']) {
+      const value = node.getAttribute(name);
+      if (value) values.push(collapse(value));
+    }
+    return values.join(' ');
+  }
+
+  // The columns of pages.decode_page. `numbers` holds ref, parent row and flags of each row, `details` row, colour,
+  // shape and attributes of the elements that have any of the three.
   function walk() {
-    const tag = [], text = [], value = [], classes = [], numbers = [], boxes = [], drawings = [];
+    const tag = [], text = [], value = [], classes = [], numbers = [], boxes = [], details = [];
     const active = document.activeElement;
 
     function addRow(node, parent, name, words, box) {
@@ -60,16 +73,17 @@ const reading = (() => {
       classes.push(isText ? '' : node.getAttribute('class') || '');
       numbers.push(refOf(node), parent, (node === active ? FOCUSED : 0) | (tampered.has(node) ? TAMPERED : 0));
       boxes.push(box.left, box.top, box.width, box.height);
-      if (!isText) addDrawing(node, tag.length - 1);
+      if (!isText) addDetails(node, tag.length - 1);
       return tag.length - 1;
     }
 
-    function addDrawing(node, row) {
+    function addDetails(node, row) {
       const isSvg = node instanceof SVGElement, style = node.getAttribute('style');
       const colour = (style !== null && (node.style.backgroundColor || node.style.fill || node.style.color))
         || (isSvg && node.getAttribute('fill')) || (canvasPaths.has(node) && canvasPaths.get(node).colour) || '';
       const shape = isSvg || canvasPaths.has(node) ? shapeOf(node) : '';
-      if (colour || shape) drawings.push(row, colour, shape);
+      const attributes = attributesOf(node);
+      if (colour || shape || attributes) details.push(row, colour, shape, attributes);
     }
 
     // One row for each line of the text as it is laid out.
@@ -115,6 +129,7 @@ const reading = (() => {
         if (overflows(element)) visitChildren(element, parent);
         return;
       }
+      if (isClipped(element, box)) return;
       const isInput = element instanceof HTMLInputElement;
       const isLeaf = element.firstElementChild === null;
       let row = parent;
@@ -134,7 +149,7 @@ const reading = (() => {
     }
 
     visitChildren(document.body, -1);
-    return [tag, text, value, classes, numbers, boxes, drawings];
+    return [tag, text, value, classes, numbers, boxes, details];
   }
 
   class Line {

@@ -12,7 +12,7 @@ import numpy as np
 from actors.agents import ExpertAgent
 from actors.browser import open_browser
 from actors.rollouts import play_pages
-from browser_farm.experts import expert
+from browser_farm.mixed import expert_of
 from giirl.statistics import goal_sensitivity
 from giirl_core.config import Config
 from giirl_core.goals import is_held_out
@@ -60,7 +60,7 @@ def _play_expert(config: Config, pages: int, metrics: Metrics, display: Display)
         closing(open_browser(config, metrics)) as browser,
         display.job("playing expert pages", pages * len(config.tasks)) as job,
     ):
-        played = play_pages(config, browser, ExpertAgent(expert), Purpose.INSPECT, pages, metrics, job=job)
+        played = play_pages(config, browser, ExpertAgent(expert_of), Purpose.INSPECT, pages, metrics, job=job)
     won = [episode.trajectory for episode in played if episode.outcome.success]
     return sorted(won, key=lambda trajectory: trajectory.seed)
 

@@ -15,7 +15,7 @@ from giirl_core.config import Config
 from giirl_core.nets.reward import build_reward
 from giirl_core.types import Episode
 from giirl_core.weights import Weights
-from giirl_core.wire.messages import read_episodes
+from giirl_core.wire.messages import read_sound_episodes
 from reward_service.service import RewardService
 
 BATCH = 64  # episodes in one batch
@@ -24,18 +24,20 @@ BATCH = 64  # episodes in one batch
 def score_file(config: Config, reward: Weights, file: Path) -> dict[str, Any]:
     """The reward of every step in a demonstration file, with the outcome of each episode.
 
-    ValueError for actions that the nets cannot represent.
+    `left_out` says which episodes are not scored, because they are damaged or have actions that the nets cannot
+    represent.
     """
-    episodes = read_episodes(file)
+    sound, left_out = read_sound_episodes(file)
+    episodes = [episode for episode in sound if not episode.trajectory.unlearnable]
+    left_out += [episode.trajectory.unlearnable for episode in sound if episode.trajectory.unlearnable]
     trajectories = [episode.trajectory for episode in episodes]
-    for trajectory in trajectories:
-        trajectory.check_learnable()
     score = build_reward(config, reward).score
     batches = [trajectories[i : i + BATCH] for i in range(0, len(trajectories), BATCH)]
     rewards = [part.tolist() for batch in batches for part in score(batch)]
     return {
         "reward_version": reward.version,
         "form": config.discriminator.reward,
+        "left_out": left_out,
         "episodes": [_row(episode, steps) for episode, steps in zip(episodes, rewards, strict=True)],
     }
 

@@ -9,7 +9,7 @@ from typing import Any
 import click
 from rich.table import Table
 
-from giirl.cli.options import JSON, save_json
+from giirl.cli.options import JSON, save_and_show, save_json
 from giirl_core.progress import Display
 
 TRANSPORT = {  # command: help. The functions are `benchmarks.transport.BENCHES`, under the same names.
@@ -49,10 +49,9 @@ def farm(tasks: tuple[str, ...], rounds: int, seconds: float, json_file: Path | 
             f"{row['ratio_miniwob']:.0f}",
             f"{row['ratio_miniwob_no_screenshot']:.0f}",
         )
-    display.table(table)
+    save_and_show(json_file, found, table)
     for name, value in found["memory"].items():
         click.echo(f"{name}: {value}")
-    save_json(json_file, found)
 
 
 @bench.command()
@@ -78,12 +77,24 @@ def training(actors: int, tabs: int, cases: tuple[str, ...], json_file: Path | N
     _report(measure(Display(), actors=actors, tabs=tabs, cases=cases or ("four", "mix")), json_file)
 
 
+@bench.command()
+@click.option("--actors", multiple=True, type=click.IntRange(1), help="A number of actors; may be given again.")
+@click.option("--delay", default=0.2, show_default=True, type=click.FloatRange(0), help="Seconds of every page step.")
+@click.option("--seeds", default=3, show_default=True, type=click.IntRange(1), help="Runs of each number of actors.")
+@JSON
+def scaling(actors: tuple[int, ...], delay: float, seeds: int, json_file: Path | None) -> None:
+    """Time to 95 % on two tasks with 1, 2, 4 and 8 actors, on pages that respond slowly."""
+    from benchmarks.scaling import measure
+
+    _report(measure(Display(), actors=actors or (1, 2, 4, 8), delay_s=delay, seeds=seeds), json_file)
+
+
 def _report(found: dict[str, Any], json_file: Path | None) -> None:
-    """Print every number, and write the JSON."""
+    """Write the JSON, and print every number."""
+    save_json(json_file, found)
     for group, values in found.items():
         for name, value in values.items() if isinstance(values, dict) else [("", values)]:
             click.echo(f"{group}.{name} = {value}" if name else f"{group} = {value}")
-    save_json(json_file, found)
 
 
 def _transport_command(name: str) -> click.Command:
@@ -95,9 +106,9 @@ def _transport_command(name: str) -> click.Command:
         display = Display()
         with display.busy(f"measuring {name}"):
             found: dict[str, Any] = BENCHES[name]()
+        save_json(json_file, {name: found, "load_average": round(os.getloadavg()[0], 1)})
         for key, value in found.items():
             display.say(f"{name}.{key} = {value}")
-        save_json(json_file, {name: found, "load_average": round(os.getloadavg()[0], 1)})
 
     return command
 

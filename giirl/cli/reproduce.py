@@ -9,14 +9,12 @@ from pathlib import Path
 
 import click
 
-from giirl.cli.options import JSON, save_json, seeds
+from giirl.cli.options import JSON, OutputFolder, save_json, seeds
 from giirl.studies.grid_settings import ABLATION_SEEDS, JOINT_SEEDS, REPORT_SEEDS
 from giirl_core.progress import Display
 
 FIGURES = Path("runs/figures")
-OUT = click.option(
-    "--out", type=click.Path(path_type=Path), default=FIGURES, show_default=True, help="Folder for the PNG."
-)
+OUT = click.option("--out", type=OutputFolder(), default=FIGURES, show_default=True, help="Folder for the PNG.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import click
 
-from giirl.cli.options import DEMOS, JSON, save_json, seeds
+from giirl.cli.options import DEMOS, JSON, OutputFolder, save_and_show, seeds
 from giirl.studies.web import STUDIES, Study, base_settings
-from giirl_core.files import folder_lock
+from giirl_core.files import explain, folder_lock, writable
 from giirl_core.progress import Display
 
 ROOT = Path("runs/studies")
@@ -25,7 +25,7 @@ def commands() -> list[click.Command]:
 @click.command("all")
 @DEMOS
 @click.option("--seeds", type=click.IntRange(1), default=5, show_default=True, help="Seeds of each web study.")
-@click.option("--out", type=click.Path(path_type=Path), default=Path("runs/reproduced"), show_default=True)
+@click.option("--out", type=OutputFolder(), default=Path("runs/reproduced"), show_default=True)
 @click.pass_context
 def reproduce_all(context: click.Context, demos: Path | None, seeds: int, out: Path) -> None:
     """Every figure, table and study, each with a JSON of its own, in about a day.
@@ -34,6 +34,7 @@ def reproduce_all(context: click.Context, demos: Path | None, seeds: int, out: P
     """
     group = context.parent.command if context.parent else None
     assert isinstance(group, click.Group)
+    failed: list[str] = []
     for name, command in group.commands.items():
         file = out / f"{name}.json"
         if command is context.command or file.exists():
@@ -42,7 +43,12 @@ def reproduce_all(context: click.Context, demos: Path | None, seeds: int, out: P
         Display().say(f"{name}: {file}")
         given = {"demos": demos, "seeds": seeds} if name in STUDIES else {"out": out}
         known = {parameter.name for parameter in command.params}
-        context.invoke(command, json_file=file, **{key: value for key, value in given.items() if key in known})
+        try:
+            context.invoke(command, json_file=file, **{key: value for key, value in given.items() if key in known})
+        except (ValueError, RuntimeError, OSError) as error:  # the other studies do not depend on this one
+            failed.append(f"{name}: {explain(error)}")
+    if failed:
+        raise RuntimeError(f"{len(failed)} studies failed, the first is {failed[0]}; the same command tries again")
 
 
 def _command(name: str, study: Study) -> click.Command:
@@ -90,6 +96,9 @@ def _reproduce(
     base = (*base_settings(study, demos), f"runtime={'local' if alone else 'serial'}", *changes)
     runs = plan(base, study.variants, seeds, ROOT)
     ROOT.mkdir(parents=True, exist_ok=True)
+    json_path = json_file or ROOT / f"{name}.json"
+    picture = json_path.with_name(f"{json_path.name.removesuffix('.json')}.png")
+    figure = writable(picture) if study.curves else None
     with folder_lock(ROOT):
         run_all(runs, jobs=jobs, display=display)
         if study.evaluates_reward:
@@ -98,15 +107,12 @@ def _reproduce(
     result = summary(name, [record(run, evaluates_reward=study.evaluates_reward) for run in runs])
     if alone:
         result["wall_seconds"] = round(time.monotonic() - since_s, 1)
-    if study.curves:
+    save_and_show(json_file, result, study_table(study.title, result))
+    if figure is not None:
         from giirl.figures import draw_successes
 
-        json_path = json_file or ROOT / f"{name}.json"
-        figure = json_path.with_name(f"{json_path.name.removesuffix('.json')}.png")
         draw_successes(figure, result["runs"])
         display.say(f"figure: {figure}")
-    save_json(json_file, result)
-    display.table(study_table(study.title, result))
 
 
 def _check_seeds(name: str, study: Study, seeds: Sequence[int]) -> None:

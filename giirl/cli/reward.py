@@ -7,11 +7,12 @@ from pathlib import Path
 
 import click
 
-from giirl.cli.options import JSON, RUN, OutputFile, save_json
+from giirl.cli.options import JSON, RUN, OutputFile, Place, save_and_show, save_json
 from giirl.cli.report import say_written
 from giirl.run.folder import RunFolder
 from giirl.run.worlds import open_web_run, world_of
 from giirl_core.config import Config
+from giirl_core.files import writable
 from giirl_core.progress import Display
 
 
@@ -75,7 +76,7 @@ def inspect(run: Path, task: str, seed: int, goal: str | None, out: Path | None)
     from giirl_core.types import EpisodeSpec, Goal
 
     folder, config = _open_for_task(run, task)
-    out = out or folder.path / f"{task}-{seed}.html"
+    out = out or writable(folder.path / f"{task.replace('/', '-')}-{seed}.html")
     words = ["giirl", "reward", "inspect", str(run), "--task", task, "--seed", str(seed)]
     command = shlex.join([*words, *(["--goal", goal] if goal is not None else [])])
     other = Goal(goal) if goal is not None else None
@@ -85,7 +86,7 @@ def inspect(run: Path, task: str, seed: int, goal: str | None, out: Path | None)
 
 @reward.command()
 @RUN
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=Place())
 @JSON
 def score(run: Path, file: Path, json_file: Path | None) -> None:
     """Score every step of the episodes in a demonstration file."""
@@ -94,8 +95,9 @@ def score(run: Path, file: Path, json_file: Path | None) -> None:
 
     _, config = open_web_run(run)
     scored = score_file(config, reward_of_run(run), file)
-    save_json(json_file, scored)
-    Display().table(score_table(scored))
+    save_and_show(json_file, scored, score_table(scored))
+    if scored["left_out"]:
+        raise ValueError(f"{file}: {len(scored['left_out'])} have no score, the first is {scored['left_out'][0]}")
 
 
 @reward.command()

@@ -19,7 +19,6 @@ from giirl_core.files import atomic_write
 from giirl_core.metrics import Metrics
 from giirl_core.progress import Display
 from giirl_core.types import EpisodeSpec, Goal
-from learner.checkpoint import latest_checkpoint
 
 UNFINISHED = "The run is not finished, so it has no evaluation result."
 
@@ -61,7 +60,7 @@ def inspect(
     folder: RunFolder, config: Config, spec: EpisodeSpec, goal: Goal | None, out: Path, command: str
 ) -> EpisodeView:
     """Write a report about one page: policy and reward under its own instruction and under another one."""
-    checkpoint = latest_checkpoint(folder.checkpoints)
+    checkpoint = folder.latest_checkpoint()
     with Inspector(config, *weights_of(folder, config, checkpoint), Metrics()) as inspector:
         strip = inspector.page(spec, goal)
     scale, reward = scale_of(config), ALGORITHMS[config.algorithm].has_learned_reward
@@ -87,7 +86,7 @@ def _result(folder: RunFolder) -> dict[str, Any] | None:
     if not folder.result.exists():
         return None
     try:
-        result: dict[str, Any] = json.loads(folder.result.read_text())
+        result: dict[str, Any] = json.loads(folder.result.read_bytes())
     except ValueError as error:
         raise ValueError(f"{folder.result} is damaged: {error}") from None
     return result

@@ -13,7 +13,6 @@ from giirl.run.grid import layouts_of, open_run, reward_panels
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.progress import Display
-from learner.checkpoint import latest_checkpoint
 
 
 class GridReport:
@@ -62,8 +61,8 @@ class GridReport:
 
     def maps(self, folder: RunFolder, config: Config) -> Maps | None:
         """Heat maps of the learned reward on the first layout, one per training instruction."""
-        if not ALGORITHMS[config.algorithm].has_learned_reward or not folder.checkpoints.exists():
+        if not ALGORITHMS[config.algorithm].has_learned_reward or not folder.saved:
             return None
-        learner = open_run(config, latest_checkpoint(folder.checkpoints)).learner
+        learner = open_run(config, folder.latest_checkpoint()).learner
         layout = layouts_of(config.grid)[0]
         return draw_heat(layout, reward_panels(config, learner, layout, learner.pairs))

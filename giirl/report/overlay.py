@@ -9,7 +9,7 @@ import numpy as np
 
 from giirl.report.charts import minus
 from giirl.report.element_rewards import Scale, ScoredPage, by_reward, describe_action, element_name
-from giirl_core.nets.features import HEIGHT_PX, WIDTH_PX
+from giirl_core.nets.layout import HEIGHT_PX, WIDTH_PX
 from giirl_core.types import Page, Verb
 
 MAX_LABELS = 16  # per screenshot, to keep it readable

@@ -17,7 +17,6 @@ from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.metrics import Metrics
 from giirl_core.progress import Display
-from learner.checkpoint import latest_checkpoint
 
 
 class WebReport:
@@ -81,7 +80,7 @@ class WebReport:
     ) -> tuple[dict[str, list[EpisodeView]], str]:
         """Episodes by task, with a description, or with the reason why there are none."""
         try:
-            checkpoint = latest_checkpoint(folder.checkpoints)
+            checkpoint = folder.latest_checkpoint()
         except ValueError as error:
             return {}, f"No episodes: {error}."
         strips: dict[str, list[EpisodeView]] = {task: [] for task in config.tasks}

@@ -17,9 +17,8 @@ from giirl.run.folder import RunFolder
 from giirl.run.worlds import open_web_run, world_of
 from giirl_core.config import Config
 from giirl_core.config_file import load_config
-from giirl_core.files import write_json
+from giirl_core.files import explain, write_json
 from giirl_core.progress import Display
-from learner.checkpoint import latest_checkpoint
 
 if TYPE_CHECKING:
     from actors.agents import PolicyAgent
@@ -31,16 +30,23 @@ def train(
 ) -> dict[str, Any]:
     """Train in `folder`, evaluate, write result.json and return what is in it.
 
-    `checkpoint` is one of the folder's checkpoints and resumes from there. A run that fails before its first
-    checkpoint removes what it wrote. SIGINT and SIGTERM save a checkpoint and raise `giirl.signals.Stopped`.
+    `checkpoint` is one of the folder's checkpoints and resumes from there. A new run that fails before its first
+    checkpoint removes what it wrote. SIGINT, SIGTERM and SIGHUP save a checkpoint and raise `giirl.signals.Stopped`.
+    From the first checkpoint on, a full disk or another error of the operating system is a RuntimeError that says how
+    to go on.
     """
-    try:
-        result = world_of(config).train(config, folder, checkpoint, display or Display())
-    except BaseException:
-        if checkpoint is None:
-            folder.discard_unless_begun()
-        raise
-    write_json(folder.result, result)
+    with folder.held():
+        try:
+            if checkpoint is None:
+                folder.clear()
+            result = world_of(config).train(config, folder, checkpoint, display or Display())
+            write_json(folder.result, result)
+        except OSError as error:
+            if not folder.saved:
+                raise
+            raise RuntimeError(f"{explain(error)}{folder.way_on}") from error
+        finally:
+            folder.discard_unless_saved()
     return result
 
 
@@ -51,7 +57,7 @@ def evaluate(run: Path, overrides: Sequence[str] = (), display: Display | None =
     """
     folder, _ = RunFolder.open(run)
     config = load_config(folder.config_file, overrides)
-    checkpoint, world = latest_checkpoint(folder.checkpoints), world_of(config)
+    checkpoint, world = folder.latest_checkpoint(), world_of(config)
     world.check(config)
     start_s = time.monotonic()
     result = world.evaluate(config, folder, checkpoint, display or Display())
@@ -76,5 +82,5 @@ def load_policy(run: Path, *, greedy: bool = True) -> PolicyAgent:
 
     folder, config = open_web_run(run)
     agent = PolicyAgent(build_policy(config), load_vectors(config.net.vectors), greedy=greedy)
-    agent.load(folder.weights(latest_checkpoint(folder.checkpoints), "policy"))
+    agent.load(folder.weights(folder.latest_checkpoint(), "policy"))
     return agent

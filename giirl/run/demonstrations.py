@@ -11,8 +11,9 @@ from pathlib import Path
 from actors.agents import ExpertAgent, RandomAgent
 from actors.browser import open_browser
 from actors.rollouts import play_pages
-from browser_farm.experts import expert
-from browser_farm.human.recordings import ImportReport, find_recordings, import_recordings
+from browser_farm.human.recording_files import find_recordings
+from browser_farm.human.recordings import ImportReport, import_recordings
+from browser_farm.mixed import expert_of
 from giirl.statistics import missing_pages
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
@@ -20,7 +21,7 @@ from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
 from giirl_core.progress import Display
 from giirl_core.types import Episode, Purpose
-from giirl_core.wire.messages import read_episodes
+from giirl_core.wire.messages import read_sound_episodes
 
 
 def collect_demonstrations(config: Config, metrics: Metrics, display: Display) -> list[Episode]:
@@ -32,7 +33,7 @@ def collect_demonstrations(config: Config, metrics: Metrics, display: Display) -
     if not ALGORITHMS[config.algorithm].needs_demonstrations and not config.policy.bc_warmup_updates:
         return []
     episodes, origin = _read_source(config, metrics, display)
-    kept = select(episodes, origin, config)
+    kept = select(episodes, origin, config, display)
     return add_noise(kept, config, metrics, display) if config.demos.noise_fraction else kept
 
 
@@ -45,22 +46,30 @@ def _read_source(config: Config, metrics: Metrics, display: Display) -> tuple[li
     path = Path(config.demos.path)
     if config.demos.source == "recordings":
         collections = config.demos.collections or None
-        episodes, _ = import_folder(path, config.tasks, config.demos.per_task, collections, display)
+        episodes, report = import_folder(path, config.tasks, config.demos.per_task, collections, display)
+        unreadable = report.unreadable
     else:
-        episodes = read_episodes(path)
+        episodes, unreadable = read_sound_episodes(path)
+    if unreadable:
+        display.say(f"{path}: {left_out(unreadable)}; the others are used")
     return episodes, str(path)
+
+
+def left_out(unreadable: Sequence[str]) -> str:
+    """How many demonstrations of a source cannot be read, and what is wrong with the first."""
+    return f"{len(unreadable)} cannot be read, the first is {unreadable[0]}"
 
 
 def make(config: Config, metrics: Metrics, display: Display) -> list[Episode]:
     """Successful episodes of the scripted experts, on pages that training and evaluation never use."""
     for task in config.tasks:
-        expert(task)  # a task without an expert is an error before a browser starts
+        expert_of(task)  # a task without an expert is an error before a browser starts
     pages = config.demos.per_task
     with (
         closing(open_browser(config, metrics)) as browser,
         display.job("making demonstrations", pages * len(config.tasks)) as job,
     ):
-        played = play_pages(config, browser, ExpertAgent(expert), Purpose.DEMONSTRATE, pages, metrics, job=job)
+        played = play_pages(config, browser, ExpertAgent(expert_of), Purpose.DEMONSTRATE, pages, metrics, job=job)
     counts = Counter(episode.trajectory.task for episode in played)
     rows = {task: {"episodes": counts[task], "missing": pages - counts[task]} for task in config.tasks}
     if missing := missing_pages(rows):
@@ -108,16 +117,21 @@ def add_noise(kept: list[Episode], config: Config, metrics: Metrics, display: Di
     return mixed
 
 
-def select(episodes: list[Episode], origin: str, config: Config) -> list[Episode]:
-    """The first `demos.per_task` successes of every task; ValueError for a task that has none."""
+def select(episodes: list[Episode], origin: str, config: Config, display: Display) -> list[Episode]:
+    """The first `demos.per_task` successes of every task that the nets can learn; ValueError for a task without any."""
     kept: list[Episode] = []
+    unlearnable: list[str] = []
     for task in config.tasks:
         won = [e for e in episodes if e.trajectory.task == task and e.outcome.success]
         won = [e for e in won if not is_held_out(e.trajectory.goal, config.held_out_goals)]
         if not won:
             have = ", ".join(sorted({e.trajectory.task for e in episodes})) or "none"
             raise ValueError(f"{origin} has no successful demonstration of {task!r}; it has {have}")
-        kept += won[: config.demos.per_task]
-    for episode in kept:
-        episode.trajectory.check_learnable()
+        learnable = [e for e in won if not e.trajectory.unlearnable]
+        unlearnable += [e.trajectory.unlearnable for e in won if e.trajectory.unlearnable]
+        if not learnable:
+            raise ValueError(unlearnable[-1])
+        kept += learnable[: config.demos.per_task]
+    if unlearnable:
+        display.say(f"{origin}: {len(unlearnable)} demonstrations are left out, the first because {unlearnable[0]}")
     return kept

@@ -9,7 +9,7 @@ from typing import Any
 from rich.table import Table
 
 from actors.agents import PolicyAgent, RandomAgent
-from actors.browser import open_browser
+from actors.browser import measured_tasks, open_browser
 from actors.rollouts import play_pages
 from giirl.statistics import Score, missing_pages, percent
 from giirl_core.config import Config
@@ -30,17 +30,25 @@ def evaluate(config: Config, policy: Weights, metrics: Metrics, display: Display
 
     The pages have seeds that training, demonstrations and tuning never use. An episode that a broken browser or page
     has ended is played again; pages on which that happens each time are `missing`.
+    Task files that do not say what success is have no row.
     """
+    measured = measured_tasks(config)
+    if unmeasured := [task for task in config.tasks if task not in measured]:
+        display.say(f"not evaluated, since the task file has no [success]: {', '.join(unmeasured)}")
+    if not measured:
+        return {}
     net = build_policy(config)
     load_net(net, policy)
     greedy = PolicyAgent(net, load_vectors(config.net.vectors), version=policy.version, greedy=True)
-    pages, random_pages, tasks = config.evaluate.episodes, config.evaluate.random_episodes, len(config.tasks)
+    pages, random_pages, tasks = config.evaluate.episodes, config.evaluate.random_episodes, len(measured)
     with closing(open_browser(config, metrics)) as browser:
         with display.job("evaluating", pages * tasks) as job:
-            played = play_pages(config, browser, greedy, Purpose.EVALUATE, pages, metrics, job=job)
+            played = play_pages(config, browser, greedy, Purpose.EVALUATE, pages, metrics, tasks=measured, job=job)
         with display.job("random baseline", random_pages * tasks) as job:
-            at_random = play_pages(config, browser, RandomAgent(), Purpose.RANDOM, random_pages, metrics, job=job)
-    return {task: _row(config, task, played, at_random) for task in config.tasks}
+            at_random = play_pages(
+                config, browser, RandomAgent(), Purpose.RANDOM, random_pages, metrics, tasks=measured, job=job
+            )
+    return {task: _row(config, task, played, at_random) for task in measured}
 
 
 def _row(config: Config, task: str, played: Sequence[Episode], at_random: Sequence[Episode]) -> dict[str, Any]:
@@ -77,7 +85,7 @@ def result_table(result: dict[str, Any]) -> Table:
         caption=missing_pages(result["tasks"]) or None,
     )
     for name, side in (("task", "left"), ("random", "right"), ("success", "right"), ("95 %", "right")):
-        table.add_column(name, justify=side)  # type: ignore[arg-type]
+        table.add_column(name, justify=side, overflow="fold")  # type: ignore[arg-type]
     table.add_column("episodes", justify="right")
     table.add_column("thesis", justify="right")
     for task, row in result["tasks"].items():

@@ -15,7 +15,7 @@ from rich.table import Table
 from actors.agents import ExpertAgent
 from actors.browser import open_browser
 from actors.rollouts import play_pages
-from browser_farm.experts import expert
+from browser_farm.mixed import expert_of
 from giirl.run.demo_stats import verbs
 from giirl.statistics import Score, missing_pages, percent
 from giirl_core.config import Config
@@ -31,9 +31,9 @@ def measure(
 ) -> Iterator[dict[str, Any]]:
     """Play `episodes` pages of each task of the config that `rows` lacks; yields the whole result after each task."""
     for task in config.tasks:
-        expert(task)
+        expert_of(task)
     tasks = [task for task in config.tasks if task not in rows]
-    agent = ExpertAgent(expert)
+    agent = ExpertAgent(expert_of)
     with (
         closing(open_browser(config, metrics)) as browser,
         display.job("experts play", episodes * len(tasks)) as job,

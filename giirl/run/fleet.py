@@ -155,7 +155,7 @@ class Fleet:
     def _counter_file(self, actor: str) -> Path:
         """Where an actor counts its episodes: in the run's folder, or in a temporary one on its node of a cluster."""
         if self._platform.single_node:
-            folder = self._folder.path / "actors"
+            folder = self._folder.actors
         else:
             folder = Path(tempfile.gettempdir()) / "giirl" / self._folder.identity
         return folder.absolute() / f"{actor}.count"

@@ -63,12 +63,14 @@ class GridRun:
     def save(self, folder: Path) -> None:
         """Write a checkpoint into an empty folder."""
         self.learner.save(folder)
-        (folder / PROGRESS).write_text(json.dumps({"played": self.source.env_steps, "cpu_s": self.cpu_s}))
+        (folder / PROGRESS).write_text(
+            json.dumps({"played": self.source.env_steps, "cpu_s": self.cpu_s}), encoding="utf-8"
+        )
 
     def load(self, folder: Path) -> None:
         """The inverse of `save`."""
         self.learner.load(folder)
-        progress = json.loads((folder / PROGRESS).read_text())
+        progress = json.loads((folder / PROGRESS).read_bytes())
         self.source.env_steps, self.cpu_s = progress["played"], progress["cpu_s"]
 
 
@@ -149,7 +151,7 @@ def continue_run(config: Config, run: GridRun, after_step: Callable[[], None], s
 def train_grid(config: Config, folder: RunFolder, resume: Path | None, display: Display) -> dict[str, Any]:
     """Train, evaluate and draw the learned reward; returns the result.
 
-    Raises Stopped after Ctrl-C or SIGTERM, with a checkpoint saved.
+    Raises Stopped after Ctrl-C, SIGTERM or SIGHUP, with a checkpoint saved.
     """
     since_s = time.monotonic()
     display.say(f"world {config.world}: {len(layouts_of(config.grid))} layouts, {len(pairs_of(config.grid))} goals")

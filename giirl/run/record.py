@@ -9,17 +9,22 @@ from contextlib import closing
 
 from browser_farm.chrome.devtools import BrowserGone
 from browser_farm.human.recorder import Interrupted, Recorder
+from browser_farm.sites.task_file import is_site
 from browser_farm.tasks import page_url
 from giirl_core.progress import Display
 from giirl_core.types import Episode, EpisodeSpec, Purpose, page_seed
 
 
-def record(tasks: Sequence[str], per_task: int, seed: int, display: Display) -> list[Episode]:
-    """Show `per_task` pages of each task, and return the finished episodes.
+def record(tasks: Sequence[str], per_task: int, seed: int, display: Display) -> Iterator[Episode]:
+    """Show `per_task` pages of each task; the finished episodes come one by one.
 
     Ctrl-C or closing the window ends the recording early. ValueError without a screen.
     """
     for task in tasks:
+        if is_site(task):
+            raise ValueError(
+                f"{task} cannot be recorded: wanted a MiniWoB task; its scripted expert makes demonstrations"
+            )
         page_url(task)
         if task.startswith("flight."):
             raise ValueError(f"{task} cannot be recorded: its site is in a frame, wanted a task with a single page")
@@ -30,8 +35,12 @@ def record(tasks: Sequence[str], per_task: int, seed: int, display: Display) -> 
         for task in tasks
         for index in range(per_task)
     ]
+    return _recorded(pages, display)
+
+
+def _recorded(pages: Sequence[EpisodeSpec], display: Display) -> Iterator[Episode]:
     with closing(Recorder()) as recorder:
-        return list(watch(recorder, pages, display))
+        yield from watch(recorder, pages, display)
 
 
 def watch(recorder: Recorder, pages: Sequence[EpisodeSpec], display: Display) -> Iterator[Episode]:

@@ -10,7 +10,7 @@ from actors.agents import PolicyAgent
 from actors.browser import open_browser
 from actors.rollouts import play_pages
 from giirl.run.folder import RUNTIME_FILE
-from giirl.run.throughput import StreamState
+from giirl.throughput import StreamState
 from giirl_core.config import Config
 from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
@@ -34,7 +34,7 @@ class SerialRuntime:
         self._reward_version = 0
         self._played = 0  # pages of each task so far
         if resume is not None:
-            self._played = json.loads((resume / RUNTIME_FILE).read_text())["played"]
+            self._played = json.loads((resume / RUNTIME_FILE).read_bytes())["played"]
 
     def publish(self, policy: Weights, reward: Weights) -> None:
         self._agent.load(policy)
@@ -76,7 +76,7 @@ class SerialRuntime:
 
     def save(self, folder: Path) -> None:
         """Write which pages come next."""
-        (folder / RUNTIME_FILE).write_text(json.dumps({"played": self._played}))
+        (folder / RUNTIME_FILE).write_text(json.dumps({"played": self._played}), encoding="utf-8")
 
     def committed(self) -> None:
         """Nothing to do: no episode is in flight between two learner steps."""

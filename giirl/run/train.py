@@ -6,6 +6,7 @@ import json
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
@@ -14,14 +15,15 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
+from actors.browser import measured_tasks
 from giirl.run.demonstrations import collect_demonstrations
 from giirl.run.evaluate import evaluate
 from giirl.run.folder import RunFolder
 from giirl.run.serial import SerialRuntime
-from giirl.run.throughput import StreamState, Throughput, format_rates
 from giirl.run.workers import WorkersRuntime
 from giirl.signals import Stopped, raise_if, stopping
 from giirl.statistics import WINDOW, lowest_window
+from giirl.throughput import StreamState, Throughput, format_rates
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.config_file import dump_config
@@ -30,7 +32,7 @@ from giirl_core.progress import Display, Job
 from giirl_core.types import Episode, Trajectory
 from giirl_core.weights import Weights
 from learner.algorithms import LOOPS
-from learner.checkpoint import latest_checkpoint, save_checkpoint
+from learner.checkpoint import save_checkpoint
 from learner.devices import learner_threads
 from learner.learner import Learner
 
@@ -69,7 +71,7 @@ class Runtime(Protocol):
 def train(config: Config, folder: RunFolder, resume: Path | None, display: Display) -> dict[str, Any]:
     """Train to the end, evaluate, and return the result.
 
-    Raises Stopped after Ctrl-C or SIGTERM, with a checkpoint saved.
+    Raises Stopped after Ctrl-C, SIGTERM or SIGHUP, with a checkpoint saved.
     """
     since_s = time.monotonic()
     metrics, stop = Metrics(), Event()
@@ -136,7 +138,7 @@ class Session:
         self._rollouts: list[Episode] = []  # of the current step
         self._consistent = True  # False between take and observe, when a checkpoint would lose rollouts
         self._targets: dict[str, str] = {}
-        self._recent = {task: deque[int](maxlen=WINDOW) for task in config.tasks}
+        self._recent = {task: deque[int](maxlen=WINDOW) for task in measured_tasks(config)}
         self.throughput = Throughput()
         self._since_s = time.monotonic()
         self.seconds_before = 0.0  # of the sessions before this one was resumed
@@ -148,7 +150,7 @@ class Session:
         config, learner = self._config, self._learner
         self._folder.cut_curve(learner.version)
         if resume is not None:
-            counts = json.loads((resume / COUNTS).read_text())
+            counts = json.loads((resume / COUNTS).read_bytes())
             self.env_steps, self.episodes = counts["env_steps"], counts["episodes"]
             self.seconds_before = counts["seconds"]
         if learner.version >= config.iterations:
@@ -171,15 +173,13 @@ class Session:
             self._save()
             raise
         except RuntimeError as error:
-            if self._consistent:
-                self._save()
-            saved = latest_checkpoint(self._folder.checkpoints).name
-            raise RuntimeError(
-                f"{error}; {saved} is saved, to resume: giirl train --resume {self._folder.path}"
-            ) from error
+            with suppress(OSError):  # an older checkpoint is there
+                self._save_if_consistent()
+            raise RuntimeError(f"{error}{self._folder.way_on}") from error
         finally:
             self._runtime.close()
-            write_targets(self._folder.targets, self._folder.path.name, {})  # there is no process to scrape any more
+            with suppress(OSError):  # there is no process to scrape any more, whether the file says so or not
+                write_targets(self._folder.targets, self._folder.path.name, {})
 
     def take(self, episodes: int) -> list[Trajectory]:
         """Rollouts for the training loop. Their outcomes stay here and are only reported."""
@@ -216,9 +216,8 @@ class Session:
         self._metrics.reward_version.set(step + 1)
         self.env_steps += sum(len(episode.trajectory) for episode in self._rollouts)
         self.episodes += len(self._rollouts)
-        outcomes: dict[str, list[int]] = {task: [] for task in self._config.tasks}
-        for episode in self._rollouts:
-            outcomes[episode.trajectory.task].append(int(episode.outcome.success))
+        won = [(episode.trajectory.task, int(episode.outcome.success)) for episode in self._rollouts]
+        outcomes = {task: [success for name, success in won if name == task] for task in self._recent}
         lags = [step - episode.trajectory.policy_version for episode in self._rollouts]
         self.throughput.add(lags, sum(len(episode.trajectory) for episode in self._rollouts), self._runtime.stream())
         rates = self.throughput.recent()
@@ -239,9 +238,8 @@ class Session:
         """Success of the exploring policy over the last WINDOW episodes, task by task."""
         for task, some in outcomes.items():
             self._recent[task].extend(some)
-        return (
-            "success " + " ".join(f"{100 * sum(some) / max(len(some), 1):.0f}" for some in self._recent.values()) + " %"
-        )
+        rates = " ".join(f"{100 * sum(some) / max(len(some), 1):.0f}" for some in self._recent.values())
+        return f"success {rates} %"
 
     def _save(self) -> None:
         runtime = self._runtime
@@ -250,8 +248,8 @@ class Session:
         def write(partial: Path) -> None:
             self._learner.save(partial)
             runtime.save(partial)
-            (partial / COUNTS).write_text(json.dumps(self._counts()))
-            (partial / self._folder.config_file.name).write_text(dump_config(self._config))
+            (partial / COUNTS).write_text(json.dumps(self._counts()), encoding="utf-8")
+            (partial / self._folder.config_file.name).write_text(dump_config(self._config), encoding="utf-8")
 
         save_checkpoint(self._folder.checkpoints, self._learner.version, write, keep=self._config.keep_checkpoints)
         runtime.committed()
@@ -277,7 +275,7 @@ def reward_of_run(path: Path) -> Weights:
     folder, config = RunFolder.open(path)
     if not ALGORITHMS[config.algorithm].has_learned_reward:
         raise ValueError(f"{path} learned no reward: its algorithm is {config.algorithm!r}, wanted giirl or frozen")
-    return folder.weights(latest_checkpoint(folder.checkpoints), "reward")
+    return folder.weights(folder.latest_checkpoint(), "reward")
 
 
 def with_env_reward(episode: Episode) -> Trajectory:
@@ -288,12 +286,7 @@ def with_env_reward(episode: Episode) -> Trajectory:
 
 
 def open_runtime(
-    config: Config,
-    folder: RunFolder,
-    metrics: Metrics,
-    stop: Event,
-    resume: Path | None,
-    save: Callable[[], None],
+    config: Config, folder: RunFolder, metrics: Metrics, stop: Event, resume: Path | None, save: Callable[[], None]
 ) -> Runtime:
     """The runtime that the config names. Ray is imported only when it is used."""
     if config.runtime == "serial":

@@ -14,7 +14,7 @@ from threading import Event
 
 from giirl.run.fleet import POLL_S, Fleet
 from giirl.run.folder import RUNTIME_FILE, RunFolder
-from giirl.run.throughput import StreamState
+from giirl.throughput import StreamState
 from giirl_core.config import Config
 from giirl_core.metrics import Metrics
 from giirl_core.processes.supervision import Platform
@@ -44,7 +44,7 @@ class WorkersRuntime:
         self._config, self._platform, self._stop, self._save_now = config, platform, stop, save
         self._version = 0
         self._snapshot = IngestSnapshot.load(resume) if resume else IngestSnapshot()
-        self._taken: int = json.loads((resume / RUNTIME_FILE).read_text())["taken"] if resume else 0
+        self._taken: int = json.loads((resume / RUNTIME_FILE).read_bytes())["taken"] if resume else 0
         # Connections beyond this machine are encrypted.
         keys = None if platform.single_node else Keys.load_or_create(folder.keys)
         self._ingest = Ingest(
@@ -61,7 +61,7 @@ class WorkersRuntime:
             held_out=config.held_out_goals,
         )
         self._stale_before = self._ingest.stale  # in earlier sessions of a resumed run
-        known = [offsets.incarnation for offsets in self._snapshot.offsets]
+        known = max((offsets.incarnation for offsets in self._snapshot.offsets), default=0)
         self._fleet = Fleet(
             config,
             folder,
@@ -69,7 +69,7 @@ class WorkersRuntime:
             self._ingest,
             keys,
             metrics,
-            incarnation=max([int(time.time()), *(incarnation + 1 for incarnation in known)]),  # they only grow
+            incarnation=folder.reserve_incarnations(above=known),
             episodes_taken=lambda: self._taken,
         )
         self._fleet.retire_unknown([offsets.actor for offsets in self._snapshot.offsets])
@@ -118,7 +118,7 @@ class WorkersRuntime:
         """Write the episodes that were accepted and not used yet, and the position in every actor's stream."""
         self._snapshot = self._ingest.snapshot()
         self._snapshot.save(folder)
-        (folder / RUNTIME_FILE).write_text(json.dumps({"taken": self._taken}))
+        (folder / RUNTIME_FILE).write_text(json.dumps({"taken": self._taken}), encoding="utf-8")
 
     def committed(self) -> None:
         """The last `save` is on the disk: actors may delete the episodes that it covers."""

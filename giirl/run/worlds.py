@@ -26,7 +26,7 @@ class World(Protocol):
     def train(self, config: Config, folder: RunFolder, checkpoint: Path | None, display: Display) -> dict[str, Any]:
         """Train from the start, or from a checkpoint of the run, evaluate, and return the result.
 
-        Raises `giirl.signals.Stopped` after Ctrl-C or SIGTERM, with a checkpoint saved.
+        Raises `giirl.signals.Stopped` after Ctrl-C, SIGTERM or SIGHUP, with a checkpoint saved.
         """
 
     def evaluate(self, config: Config, folder: RunFolder, checkpoint: Path, display: Display) -> dict[str, Any]:

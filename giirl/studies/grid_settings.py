@@ -42,7 +42,7 @@ def thesis(seed: int = 0) -> Config:
             rename_prob=0.0,
         ),
         policy=PolicyConfig(updates=12, gamma=0.9, entropy=0.05, learning_rate=3e-3),
-        cloning=CloningConfig(batch=8),
+        cloning=CloningConfig(learning_rate=1e-3, updates=1, batch=8),
         grid=GridConfig(adjacent_cells=True, demonstrations=40),
     )
 
@@ -58,7 +58,7 @@ def joint(seed: int = 0, layout_seed: int = 1000) -> Config:
             thesis().discriminator, learning_rate=1e-3, updates=8, clip=5.0, wrong_goal=12.0
         ),
         policy=PolicyConfig(updates=80, gamma=0.9, entropy=0.05, learning_rate=2e-3),
-        cloning=CloningConfig(batch=8),
+        cloning=CloningConfig(learning_rate=1e-3, updates=1, batch=8),
         grid=GridConfig(
             layouts=(), random_layouts=8, layout_seed=layout_seed, adjacent_cells=True, full_map=True, measure_every=30
         ),

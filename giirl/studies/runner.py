@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-import shutil
 import signal
 import subprocess
 import sys
@@ -20,7 +19,6 @@ from giirl_core.config import Config
 from giirl_core.config_file import dump_config, load_config
 from giirl_core.files import write_json
 from giirl_core.progress import Display
-from learner.checkpoint import LATEST, latest_checkpoint
 
 POLL_S = 1.0
 VERSION = importlib.metadata.version("giirl")
@@ -120,10 +118,9 @@ class _Child:
         self._log = run.folder.with_suffix(".log")
         self._steps = len(self._folder.points())
         command = [sys.executable, "-m", "giirl", "train"]
-        if (self._folder.checkpoints / LATEST).exists():
+        if self._folder.saved:
             command += ["--resume", str(run.folder)]
         else:
-            shutil.rmtree(run.folder, ignore_errors=True)  # it was killed before its first checkpoint
             settings = run.folder.with_suffix(".json")
             self._folder.write(settings, dump_config(replace(run.config, run=str(run.folder))))
             command.append(str(settings))
@@ -139,7 +136,7 @@ class _Child:
 
     def last_line(self) -> str:
         """The last line of its output, or its exit status."""
-        lines = self._log.read_text(errors="replace").split("\n")
+        lines = self._log.read_text(encoding="utf-8", errors="replace").split("\n")
         return next((line for line in reversed(lines) if line.strip()), f"exit status {self.process.returncode}")
 
 
@@ -180,6 +177,6 @@ def measure_transfer(runs: Sequence[Planned], display: Display) -> None:
     for run in runs:
         folder = RunFolder(run.folder)
         if run.variant.transfer_tasks and not (folder.path / TRANSFER).exists():
-            policy = folder.weights(latest_checkpoint(folder.checkpoints), "policy")
+            policy = folder.weights(folder.latest_checkpoint(), "policy")
             config = replace(run.config, tasks=run.variant.transfer_tasks)
             write_json(folder.path / TRANSFER, evaluate(config, policy, Metrics(), display))

@@ -21,9 +21,9 @@ def record(run: Planned, *, evaluates_reward: bool = False) -> dict[str, Any]:
     """The result and the learning curve of a finished run; with `evaluates_reward` also the measures of its reward."""
     folder = RunFolder(run.folder)
     points = folder.points()
-    result: dict[str, Any] = json.loads(folder.result.read_text())
+    result: dict[str, Any] = json.loads(folder.result.read_bytes())
     if run.variant.transfer_tasks:
-        result["tasks"] |= json.loads((folder.path / TRANSFER).read_text())
+        result["tasks"] |= json.loads((folder.path / TRANSFER).read_bytes())
     measures = folder.path / REWARD_EVAL
     return {
         "variant": run.variant.name,
@@ -31,7 +31,7 @@ def record(run: Planned, *, evaluates_reward: bool = False) -> dict[str, Any]:
         "settings": [one for one in changed(run.config) if not one.startswith("reward_from=")],
         **({"reward_of": run.variant.reward_of} if run.variant.reward_of else {}),
         **result,
-        **(json.loads(measures.read_text()) if evaluates_reward and measures.exists() else {}),
+        **(json.loads(measures.read_bytes()) if evaluates_reward and measures.exists() else {}),
         "episodes_to": {f"{level:g}": _first_reached(points, level, "episodes") for level in LEVELS},
         "env_steps_to": {f"{level:g}": _first_reached(points, level, "env_steps") for level in LEVELS},
         "curve": _thinned(points),

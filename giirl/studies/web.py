@@ -20,7 +20,9 @@ BARE_CLONING = Variant(  # no renaming or jitter, four times as long, constant r
         "algorithm=cloning",
         "cloning.rename_prob=0",
         "cloning.position_jitter=0",
+        "cloning.learning_rate=1e-3",
         "cloning.final_lr_fraction=1",
+        "cloning.updates=1",
         "iterations=1200",
     ),
 )

@@ -15,24 +15,26 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from giirl_core.nets.features import (
+from giirl_core.nets.features import Features
+from giirl_core.nets.language import PADDING
+from giirl_core.nets.layout import (
     CLASS,
     CLICKABLE,
     ELEMENT_FLAGS,
     ELEMENT_IDS,
+    ELEMENT_KIND,
     ELEMENT_OVERLAP,
     ELEMENT_WORDS,
     MATCH_KINDS,
     OPEN,
+    RELATIONS,
     TAG,
     TOKEN_FLAGS,
     TOKEN_IDS,
     TOKEN_OVERLAP,
     TYPABLE,
     WORD,
-    Features,
 )
-from giirl_core.nets.language import PADDING
 
 MASKED_LOGIT = -1e9  # of illegal or padded choices
 PADDING_ROWS = 32  # of padding that a block may have in addition to a tenth of its rows; more blocks would be slower
@@ -44,6 +46,7 @@ class Block:
 
     pages: Tensor  # [b] int64, indices of the pages in the batch
     size: int
+    relations: Tensor  # [b, size, size] int64, relation of the element in the column to that in the row; see `collate`
     bias: Tensor | None  # [b, size] for logits: 0 for elements, MASKED_LOGIT for padding; None without padding
     token_row: Tensor  # [b, l] int64, as Batch.token_row, up to the longest goal of the block
     token_bias: Tensor  # [b, l] for logits: 0 for words, MASKED_LOGIT for padding
@@ -53,6 +56,7 @@ class Block:
         return Block(
             pages=self.pages.to(device),
             size=self.size,
+            relations=self.relations.to(device),
             bias=None if self.bias is None else self.bias.to(device),
             token_row=self.token_row.to(device),
             token_bias=self.token_bias.to(device),
@@ -77,13 +81,15 @@ class Batch:
     text_words: Tensor  # [W] int64, rows of the word vectors: the words of each element, one element after the other
     text_page: Tensor  # [W] int64, page of each
     text_first: Tensor  # [N] int64, index of the first word of each element
+    kind_words: Tensor  # [X] int64, rows of the word vectors: the words for the kind of each element
+    kind_first: Tensor  # [N] int64, index of the first of them for each element
     element_tag: Tensor  # [N] int64, hash bucket
     element_classes: Tensor  # [N, CLASS_SLOTS] int64, hash buckets, 0 for none
     element_flags: Tensor  # [N, ELEMENT_FLAGS]
+    element_group: Tensor  # [N] int64, flat row of the repeated ancestor, e.g. a row of a table; its own if none
     element_page: Tensor  # [N] int64, page of each row
-    matched: Tensor  # [R] int64, flat rows of the elements that have a word in common with the goal
-    match_row: Tensor  # [K] int64, MATCH_KINDS * index in `matched` + kind of the match
-    match_token: Tensor  # [K] int64, flat row of the matching word
+    match_row: Tensor  # [K] int64, flat row of the element
+    match_token: Tensor  # [K] int64, MATCH_KINDS * flat row of the matching word + kind of the match
     match_weight: Tensor  # [K] the weights of one element and kind sum to 1
     row: Tensor  # [B, E] int64, flat row of each element; arbitrary after the last element
     clickable: Tensor  # [B, E] bool, False after the last element
@@ -107,7 +113,7 @@ class Batch:
 
 
 def collate(rows: Sequence[Features]) -> Batch:
-    """Collate the features of B pages, B >= 1, into one batch."""
+    """Collate the features of B pages, B >= 1, into one batch. RELATIONS marks padding in `Block.relations`."""
     assert rows, "collate needs at least one page"
     sizes = np.array([len(row.element_ids) for row in rows])
     lengths = np.array([len(row.token_ids) for row in rows])
@@ -118,17 +124,17 @@ def collate(rows: Sequence[Features]) -> Batch:
     column = np.arange(int(lengths.max()))
     token_row = first_token[:, None] + np.minimum(column, lengths[:, None])
     token_mask = column < lengths[:, None]
-    blocks, first_row, count = _blocks(sizes, lengths, token_row, token_mask)
+    blocks, first_row, count = _blocks(sizes, lengths, token_row, token_mask, [row.relations for row in rows])
     element_rows = np.repeat(first_row, sizes) + _ranges(sizes)
     ids = _scatter([row.element_ids for row in rows], element_rows, count, ELEMENT_IDS)
     page = np.zeros(count, dtype=np.int64)
     page[element_rows] = np.repeat(np.arange(len(rows)), sizes)
+    group = np.arange(count)
+    group[element_rows] = np.repeat(first_row, sizes) + np.concatenate([row.group for row in rows])
     match_counts = np.array([len(row.match_ids) for row in rows])
-    texts = ids[:, ELEMENT_WORDS]
-    read = texts != PADDING
-    word_counts = read.sum(1)
+    text_words, text_counts, text_first = _flat_words(ids[:, ELEMENT_WORDS])
+    kind_words, _, kind_first = _flat_words(ids[:, ELEMENT_KIND])
     element, kind, token = np.concatenate([row.match_ids for row in rows]).astype(np.int64).T
-    matched, index = np.unique(np.repeat(first_row, match_counts) + element, return_inverse=True)
     row = np.minimum(first_row[:, None] + np.arange(max(1, int(sizes.max()))), count - 1)
     real = np.arange(row.shape[1]) < sizes[:, None]
     arrays: dict[str, NDArray[Any]] = {
@@ -139,16 +145,18 @@ def collate(rows: Sequence[Features]) -> Batch:
         "token_page": np.repeat(np.arange(len(rows)), lengths + 1),
         "token_row": token_row,
         "token_mask": token_mask,
-        "text_words": texts[read].astype(np.int64),
-        "text_page": np.repeat(page, word_counts),
-        "text_first": np.cumsum(word_counts) - word_counts,
+        "text_words": text_words,
+        "text_page": np.repeat(page, text_counts),
+        "text_first": text_first,
+        "kind_words": kind_words,
+        "kind_first": kind_first,
         "element_tag": ids[:, TAG].astype(np.int64),
         "element_classes": ids[:, CLASS].astype(np.int64),
         "element_flags": _scatter([row.element_flags for row in rows], element_rows, count, ELEMENT_FLAGS),
+        "element_group": group,
         "element_page": page,
-        "matched": matched,
-        "match_row": index * MATCH_KINDS + kind,
-        "match_token": np.repeat(first_token, match_counts) + token,
+        "match_row": np.repeat(first_row, match_counts) + element,
+        "match_token": (np.repeat(first_token, match_counts) + token) * MATCH_KINDS + kind,
         "match_weight": np.concatenate([row.match_weights for row in rows]),
         "row": row,
         "clickable": (ids[:, CLICKABLE] > 0)[row] & real,
@@ -157,8 +165,19 @@ def collate(rows: Sequence[Features]) -> Batch:
     return Batch(**{name: torch.from_numpy(array) for name, array in arrays.items()}, blocks=blocks)
 
 
+def _flat_words(rows: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Rows of the word vectors [N, W] without padding: all of them, the number and the first index of each element."""
+    read = rows != PADDING
+    counts = read.sum(1)
+    return rows[read].astype(np.int64), counts, np.cumsum(counts) - counts
+
+
 def _blocks(
-    sizes: NDArray[np.int64], lengths: NDArray[np.int64], token_row: NDArray[np.int64], token_mask: NDArray[np.bool_]
+    sizes: NDArray[np.int64],
+    lengths: NDArray[np.int64],
+    token_row: NDArray[np.int64],
+    token_mask: NDArray[np.bool_],
+    page_relations: Sequence[NDArray[np.uint8]],
 ) -> tuple[tuple[Block, ...], NDArray[np.int64], int]:
     """Group pages by size. Returns the blocks, the first flat row of each page [B], and the number of flat rows N."""
     order = np.argsort(-sizes, kind="stable")
@@ -174,9 +193,13 @@ def _blocks(
         first_row[pages] = row + np.arange(len(pages)) * size
         mask = np.arange(size) < sizes[pages][:, None]
         longest = int(lengths[pages].max())
+        relations = np.full((len(pages), size, size), RELATIONS, dtype=np.int64)
+        for index, page in enumerate(pages.tolist()):
+            relations[index, : sizes[page], : sizes[page]] = page_relations[page]
         block = Block(
             pages=torch.from_numpy(pages),
             size=size,
+            relations=torch.from_numpy(relations),
             bias=None if mask.all() else _bias(mask),
             token_row=torch.from_numpy(token_row[pages, :longest]),
             token_bias=_bias(token_mask[pages, :longest]),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -10,17 +11,18 @@ from torch.nn import functional
 
 from giirl_core.config import NetConfig
 from giirl_core.nets.batch import MASKED_LOGIT, Batch, without_overlap
-from giirl_core.nets.features import (
+from giirl_core.nets.language import Vectors
+from giirl_core.nets.layout import (
     CLASSES,
     ELEMENT_FLAGS,
     HEIGHT_PX,
     MATCH_KINDS,
     POSITION,
+    RELATIONS,
     TAGS,
     TOKEN_FLAGS,
     WIDTH_PX,
 )
-from giirl_core.nets.language import Vectors
 
 ADJACENT_PX = 4.0  # the distance at which the weight of an adjacent element falls to 1 / e
 VERTICAL_WEIGHT = 3.0  # a vertical pixel counts as this many horizontal ones, so that lines stay apart
@@ -60,7 +62,8 @@ class Encoding:
 class Encoder(nn.Module):
     """Encodes goal tokens and page elements with `config.width` units each.
 
-    Elements attend to the goal and to the other elements of the page.
+    Elements attend to the goal and to the other elements of the page, with a bias for each relation between two
+    elements. Elements in the same row of a table also share the maximum of their units.
     """
 
     table: Tensor  # [V, W] word vectors, not trained
@@ -76,10 +79,12 @@ class Encoder(nn.Module):
         )  # of a word and its two neighbours
         self.tag = nn.Embedding(TAGS, 16)
         self.classes = nn.Embedding(CLASSES, 8, padding_idx=0)
-        self.element_in = nn.Linear(words + 16 + 8 + ELEMENT_FLAGS + MATCH_KINDS * width, width)
+        self.element_in = nn.Linear(2 * words + 16 + 8 + ELEMENT_FLAGS, width)
+        self.match_in = nn.Linear(width, MATCH_KINDS * width, bias=False)  # of a goal token, for each kind of match
         self.goal_query = nn.Linear(width, width)
         self.goal_out = nn.Linear(2 * width, width)
         self.attention = Attention(width)
+        self.group = nn.Linear(width, width)
         self.adjacent = nn.Linear(width, width) if config.adjacent_elements else None
         self.goal_pool = nn.Linear(width, 1)
         self.summary = nn.Linear(3 * width, width)
@@ -104,28 +109,27 @@ class Encoder(nn.Module):
     def _encode_page(self, batch: Batch, tokens: Tensor) -> Tensor:
         """[N, D] the elements, with the goal tokens they match, attention to the goal, and the other elements."""
         text = functional.embedding_bag(batch.text_words, self.table, batch.text_first, mode="mean")
+        kind = functional.embedding_bag(batch.kind_words, self.table, batch.kind_first, mode="mean")
         classes = functional.embedding_bag(batch.element_classes, self.classes.weight, mode="sum", padding_idx=0)
-        own = torch.cat([text, self.tag(batch.element_tag), classes, batch.element_flags], dim=1)
-        # element_in(cat[own, matching tokens]); most elements match no token, so their part of the product is skipped.
-        weight = self.element_in.weight
-        hidden = functional.linear(own, weight[:, : own.shape[1]], self.element_in.bias)
-        matching = functional.linear(self._matching_tokens(batch, tokens), weight[:, own.shape[1] :])
-        hidden = torch.relu(hidden.index_add(0, batch.matched, matching))
+        own = torch.cat([text, kind, self.tag(batch.element_tag), classes, batch.element_flags], dim=1)
+        matching = self.match_in(tokens).view(-1, tokens.shape[1])  # row MATCH_KINDS * token + kind
+        matching = functional.embedding(batch.match_token, matching) * batch.match_weight.unsqueeze(1)
+        hidden = torch.relu(self.element_in(own).index_add(0, batch.match_row, matching))
         goal = self._attend_to_goal(batch, hidden, tokens)
         hidden = hidden + torch.relu(self.goal_out(torch.cat([hidden, goal], dim=1)))
         out: Tensor = hidden + self.attention(hidden, batch) if self.config.element_attention else hidden
+        out = out + torch.relu(self.group(self._group_maximum(batch, hidden)))
         if self.adjacent is not None:
             pairs = zip(adjacency(batch), batch.by_block(hidden), strict=True)
             near = [weights @ part for weights, part in pairs]
             out = out + torch.relu(self.adjacent(torch.cat([part.flatten(0, 1) for part in near])))
         return out
 
-    def _matching_tokens(self, batch: Batch, tokens: Tensor) -> Tensor:
-        """[R, MATCH_KINDS * D] for each matched element and kind of match, the mean of the matching goal tokens."""
-        count, width = len(batch.matched), tokens.shape[1]
-        words = functional.embedding(batch.match_token, tokens) * batch.match_weight.unsqueeze(1)
-        zeros = torch.zeros(count * MATCH_KINDS, width, device=tokens.device)
-        return zeros.index_add(0, batch.match_row, words).view(count, MATCH_KINDS * width)
+    def _group_maximum(self, batch: Batch, hidden: Tensor) -> Tensor:
+        """[N, D] the maximum over the elements with the same `element_group`. `hidden` [N, D] is not negative."""
+        group = batch.element_group.unsqueeze(1).expand_as(hidden)
+        maximum = torch.full_like(hidden, -1.0).scatter_reduce(0, group, hidden, "amax")
+        return functional.embedding(batch.element_group, maximum)
 
     def _attend_to_goal(self, batch: Batch, hidden: Tensor, tokens: Tensor) -> Tensor:
         """[N, D] the goal tokens, averaged with the attention weights of each element."""
@@ -175,21 +179,52 @@ def adjacency(batch: Batch) -> list[Tensor]:
     return weights
 
 
+class _Lookup(torch.autograd.Function):
+    """table[:, codes]: [H, ...] from table [H, V] and codes [...]. Its gradient is a histogram, which is faster.
+
+    The gradient of indexing is slow when few codes are in many places.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, table: Tensor, codes: Tensor) -> Tensor:
+        ctx.save_for_backward(codes)
+        ctx.size = table.shape[1]
+        found: Tensor = table.index_select(1, codes.flatten()).unflatten(1, codes.shape)
+        return found
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
+        (codes,) = ctx.saved_tensors
+        flat = codes.flatten()
+        parts = [torch.bincount(flat, weights=part.flatten(), minlength=ctx.size) for part in grad]
+        return torch.stack(parts).to(grad.dtype), None
+
+
+def _look_up(table: Tensor, codes: Tensor) -> Tensor:
+    found: Tensor = _Lookup.apply(table, codes)  # type: ignore[no-untyped-call]
+    return found
+
+
 class Attention(nn.Module):
-    """Multi-head self-attention over the elements of each page (Vaswani et al. 2017)."""
+    """Multi-head self-attention over the elements of each page (Vaswani et al. 2017).
+
+    Each head adds a learned bias to the logits for each relation of two elements (Shaw et al. 2018).
+    """
 
     def __init__(self, width: int, heads: int = 4) -> None:
         super().__init__()
         self.heads = heads
         self.project = nn.Linear(width, 3 * width)
         self.out = nn.Linear(width, width)
+        self.bias = nn.Parameter(torch.zeros(heads, RELATIONS))
 
     def forward(self, x: Tensor, batch: Batch) -> Tensor:
         """[N, D] from the flat elements [N, D]."""
         mixed = []
+        bias = torch.cat([self.bias, self.bias.new_full((self.heads, 1), MASKED_LOGIT)], dim=1)
         for block, part in zip(batch.blocks, batch.by_block(self.project(x)), strict=True):
             q, k, v = part.unflatten(2, (3, self.heads, -1)).permute(2, 0, 3, 1, 4).unbind(0)
-            bias = None if block.bias is None else block.bias[:, None, None, :]
-            heads = functional.scaled_dot_product_attention(q, k, v, attn_mask=bias)
+            relation_bias = _look_up(bias, block.relations).transpose(0, 1)
+            heads = functional.scaled_dot_product_attention(q, k, v, attn_mask=relation_bias)
             mixed.append(heads.transpose(1, 2).flatten(2).flatten(0, 1))
         return torch.relu(self.out(torch.cat(mixed)))

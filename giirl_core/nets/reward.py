@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from giirl_core.config import Config
-from giirl_core.config_sections import RewardForm
+from giirl_core.config.sections import RewardForm
 from giirl_core.nets.action_batch import ActionBatch, collate_actions, collate_candidates, collate_sampled, join
 from giirl_core.nets.batch import collate
 from giirl_core.nets.features import Features, featurise

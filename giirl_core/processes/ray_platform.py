@@ -17,6 +17,7 @@ from ray.exceptions import RayError
 from tenacity import retry, retry_if_exception, stop_after_attempt
 
 from giirl_core.config import Config
+from giirl_core.files import short_temporary_folder
 from giirl_core.processes.supervision import ProcessDied
 
 NAMESPACE = "giirl"
@@ -78,13 +79,16 @@ class RayPlatform:
     def __init__(self, config: Config, run: str) -> None:
         self.single_node, self._run = config.runtime == "local", run
         sigterm_handler = signal.getsignal(signal.SIGTERM)
+        sighup_handler = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # Ray's processes inherit that: they end with us
         try:
             _init(config)
         except Exception as error:
             if type(error) is not Exception:  # Ray raises a plain Exception when its node does not start in time
                 raise
             raise RuntimeError(f"Ray did not start, tried {START_ATTEMPTS} times: {error}") from error
-        signal.signal(signal.SIGTERM, sigterm_handler)  # Ray installs its own, which would end a run unsaved
+        finally:
+            signal.signal(signal.SIGTERM, sigterm_handler)  # Ray installs its own, which would end a run unsaved
+            signal.signal(signal.SIGHUP, sighup_handler)
         self.host = "127.0.0.1" if self.single_node else _node_ip()
 
     def start(self, kind: type[Any], name: str, *values: Any, cpus: int, threads: int = THREADS) -> RayProcess:
@@ -132,6 +136,7 @@ def _init(config: Config) -> None:
         num_cpus=max(config.actors.count, os.cpu_count() or 1),
         include_dashboard=False,
         object_store_memory=256 << 20,
+        _temp_dir=f"{short_temporary_folder(os.environ.get('RAY_TMPDIR'))}/ray",  # Ray has sockets in it
         **quiet,
     )
 

@@ -28,7 +28,7 @@ Column: TypeAlias = NDArray[Any]
 Columns: TypeAlias = dict[str, Column]
 T = TypeVar("T")
 
-TEXT_COLUMNS = ("tag", "text", "value", "classes", "colour", "shape")
+TEXT_COLUMNS = ("tag", "text", "value", "classes", "colour", "shape", "attributes")
 # Name -> dtype and shape of one entry.
 PER_TRAJECTORY: dict[str, tuple[str, tuple[int, ...]]] = {"steps": ("<u4", ()), "samples": ("<u4", ())}
 PER_STEP: dict[str, tuple[str, tuple[int, ...]]] = {
@@ -234,8 +234,7 @@ def _lookup_strings(name: str, columns: Mapping[str, Column], strings: Sequence[
     indices = columns[name]
     if len(indices) and int(indices.max()) >= len(strings):
         raise ValueError(f"column {name!r} holds string index {int(indices.max())}, there are {len(strings)} strings")
-    table = np.empty(len(strings), dtype=object)
-    table[:] = strings
+    table = np.array(strings, dtype=object)
     return tuple(table[indices].tolist())
 
 
@@ -252,6 +251,7 @@ def _unpack_pages(columns: Mapping[str, Column], strings: Sequence[str]) -> list
             classes=texts["classes"][first:last],
             colour=texts["colour"][first:last],
             shape=texts["shape"][first:last],
+            attributes=texts["attributes"][first:last],
             ref=columns["ref"][first:last].view(np.int32),
             parent=columns["parent"][first:last].view(np.int16),
             box=columns["box"][first:last].view(np.float32),

@@ -31,7 +31,7 @@ from giirl_core.types import Episode, Outcome
 from giirl_core.wire import columns as cols
 from giirl_core.wire.columns import Column, Columns, read_field
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 MAGIC = b"GIRL"
 PREFIX = struct.Struct("<4sIQ")  # magic, schema version, checksum
 LENGTH = struct.Struct("<Q")
@@ -189,24 +189,40 @@ def write_episodes(path: Path, episodes: Sequence[Episode]) -> None:
 
 def read_episodes(path: Path) -> list[Episode]:
     """The episodes of an episode file. Raises ValueError when the file is damaged or not an episode file."""
+    episodes, damage = read_sound_episodes(path)
+    if damage:
+        raise ValueError(f"{path} is damaged at {damage[0]}; wanted a complete file")
+    return episodes
+
+
+def read_sound_episodes(path: Path) -> tuple[list[Episode], list[str]]:
+    """The episodes of an episode file that can be read, and for each other one "episode NUMBER: what is wrong".
+
+    What is missing at the end of a file that was cut off counts as one. ValueError when it is not an episode file.
+    """
     data = path.read_bytes()
     if not data.startswith(FILE_MAGIC):
         raise ValueError(f"{path} is not an episode file: it starts with {data[:16]!r}, wanted {FILE_MAGIC!r}")
     episodes: list[Episode] = []
+    damage: list[str] = []
+    number = 0
     try:
         count, offset = _read_uint32(data, len(FILE_MAGIC))
-        while offset < len(data):
+        for number in range(count):
             size, offset = _read_uint32(data, offset)
-            episode, stamp = decode_episode(_read_bytes(data, offset, size))
-            offset += size
-            if stamp.sequence != len(episodes):
-                raise WireError(f"found episode number {stamp.sequence}, wanted {len(episodes)}")
-            episodes.append(episode)
-        if len(episodes) != count:
-            raise WireError(f"found {len(episodes)} episodes, wanted {count}")
+            message, offset = _read_bytes(data, offset, size), offset + size
+            try:
+                episode, stamp = decode_episode(message)
+                if stamp.sequence != number:
+                    raise WireError(f"found episode number {stamp.sequence}, wanted {number}")
+                episodes.append(episode)
+            except WireError as error:
+                damage.append(f"episode {number}: {error}")
+        if offset != len(data):
+            raise WireError(f"found {len(data) - offset} bytes after the last of {count} episodes")
     except WireError as error:
-        raise ValueError(f"{path} is damaged at episode {len(episodes)}: {error}; wanted a complete file") from error
-    return episodes
+        damage.append(f"episode {number}: {error}")
+    return episodes, damage
 
 
 def check_kind(header: Header, kind: str) -> None:

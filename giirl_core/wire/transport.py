@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ipaddress
-import os
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ import zmq
 from zmq.auth.thread import ThreadAuthenticator
 from zmq.utils.monitor import recv_monitor_message
 
+from giirl_core.files import atomic_write
 from giirl_core.wire.messages import MAX_BYTES
 
 SEND_HIGH_WATER_MARK = 256  # queued messages for each connection
@@ -60,7 +60,7 @@ class Keys:
         """
         if not path.exists():
             generated = cls.generate()
-            with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+            with atomic_write(path, mode=0o600) as file:
                 file.write(generated.public + b"\n" + generated.secret + b"\n")
         lines = path.read_bytes().split()
         if len(lines) != 2:

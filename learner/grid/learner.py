@@ -279,11 +279,11 @@ class GridLearner:
         (folder / "reward_replay.safetensors").write_bytes(self.discriminator.replay.to_bytes())
         (folder / "policy_replay.safetensors").write_bytes(self.policy.replay.to_bytes())
         state = {"version": self.version, "accuracy": self.discriminator.accuracy, "rng": self.rng.bit_generator.state}
-        (folder / "learner.json").write_text(json.dumps(state, indent=2))
+        (folder / "learner.json").write_text(json.dumps(state, indent=2), encoding="utf-8")
 
     def load(self, folder: Path) -> None:
         """Restore what `save` wrote. ValueError if the checkpoint belongs to networks of another shape."""
-        state: dict[str, Any] = json.loads((folder / "learner.json").read_text())
+        state: dict[str, Any] = json.loads((folder / "learner.json").read_bytes())
         for name, net in self._saved_nets().items():
             load_net(net, Weights.with_digest(state["version"], (folder / f"{name}.safetensors").read_bytes()))
         for name, part in self._parts().items():

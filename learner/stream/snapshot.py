@@ -49,7 +49,7 @@ class IngestSnapshot:
         """Write both files into `folder`."""
         write_episodes(folder / QUEUE_FILE, self.episodes)
         content = {"offsets": [asdict(offsets) for offsets in self.offsets], "counts": dict(self.counts)}
-        (folder / OFFSETS_FILE).write_text(json.dumps(content))
+        (folder / OFFSETS_FILE).write_text(json.dumps(content), encoding="utf-8")
 
     @classmethod
     def load(cls, folder: Path) -> IngestSnapshot:

@@ -49,6 +49,6 @@ def content(observation: Observation | None) -> tuple[object, ...]:
     """Everything in an observation except its episode, comparable with ==."""
     assert observation is not None
     page = observation.page
-    strings = (observation.goal.utterance, page.tag, page.text, page.value, page.classes, page.colour, page.shape)
+    strings = (page.tag, page.text, page.value, page.classes, page.colour, page.shape, page.attributes)
     arrays = (page.ref, page.parent, page.box, page.focused, page.tampered)
-    return (*strings, *(array.tobytes() for array in arrays))
+    return (observation.goal.utterance, *strings, *(array.tobytes() for array in arrays))

@@ -228,6 +228,21 @@ def test_the_page_has_colours_and_corners_of_drawings(farm: Farm) -> None:
     assert looks("p") == ("yellow", "")
 
 
+def test_the_page_has_the_attributes_that_describe_elements(farm: Farm) -> None:
+    html = """<input id="name" placeholder="Your  name"><button aria-label="Close it" title="x">X</button>
+        <p>word</p><a alt="up" data-x="1">Y</a>"""
+    observation = show(farm, html.replace("\n", ""))
+    found = {tag: observation.page.attributes[row(observation, tag)] for tag in ("input_text", "button", "p", "a")}
+    assert found == {"input_text": "name Your name", "button": "Close it", "p": "", "a": "up"}
+
+
+def test_text_for_screen_readers_only_is_not_on_the_page(farm: Farm) -> None:
+    hidden = "position: absolute; width: 1px; height: 1px; overflow: hidden; clip: rect(0 0 0 0)"
+    observation = show(farm, f'<a>Paris</a><div style="{hidden}"><b>1 result</b></div>')
+    assert "Paris" in observation.page.text
+    assert "1 result" not in observation.page.text
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_the_page_has_the_shape_that_a_canvas_shows(farm: Farm, seed: int) -> None:
     observation = farm.open("count-sides", seed)[0]

@@ -72,7 +72,7 @@ def test_a_malformed_answer_raises_an_error(text: str) -> None:
 
 def test_an_answer_is_decoded_into_a_page() -> None:
     strings = '["p","input_text"],["hi",""],["","x"],["a b",""]'
-    numbers = '[1,-1,0,2,-1,3],[0,1,2,3,4,5,6,7.5],[1,"red","circle"]'
+    numbers = '[1,-1,0,2,-1,3],[0,1,2,3,4,5,6,7.5],[1,"red","circle","name Your name"]'
     answer = pages.decode(json.loads(f'[0.5,true,[{strings},{numbers}],"Go on."]'))
     assert answer.page is not None
     assert answer.goal is not None
@@ -82,3 +82,4 @@ def test_an_answer_is_decoded_into_a_page() -> None:
     assert answer.page.tampered.tolist() == [False, True]
     assert answer.page.box.tolist() == [[0, 1, 2, 3], [4, 5, 6, 7.5]]
     assert (answer.page.colour, answer.page.shape) == (("", "red"), ("", "circle"))
+    assert answer.page.attributes == ("", "name Your name")

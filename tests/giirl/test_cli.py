@@ -5,58 +5,15 @@ from __future__ import annotations
 import json
 import shutil
 import signal
-import sys
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from giirl.cli.main import main
 from giirl_core.files import folder_lock
 from giirl_core.wire.messages import read_episodes
+from tests.command import Command
 from tests.giirl.small import SETTINGS, run
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Completed:
-    """Exit status and output of a command."""
-
-    status: int
-    out: str
-    err: str
-
-    @property
-    def error(self) -> str:
-        """The error message, which must be the only one and the last line."""
-        lines = [line for line in self.err.splitlines() if line.startswith("giirl: ")]
-        assert self.status not in (0, None)
-        assert len(lines) == 1, self.err
-        assert "Traceback" not in self.err
-        assert self.err.endswith(lines[0] + "\n")
-        return lines[0]
-
-
-Command = Callable[..., Completed]
-
-
-@pytest.fixture
-def giirl(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Iterator[Command]:
-    """Runs `giirl WORDS...` in an empty folder."""
-    handler = signal.getsignal(signal.SIGTERM)
-    monkeypatch.chdir(tmp_path)
-
-    def command(*words: str | Path) -> Completed:
-        monkeypatch.setattr(sys, "argv", ["giirl", *map(str, words)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        output = capfd.readouterr()
-        assert isinstance(ended.value.code, int)
-        return Completed(status=ended.value.code, out=output.out, err=output.err)
-
-    yield command
-    signal.signal(signal.SIGTERM, handler)
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +56,7 @@ def test_train_writes_its_result_to_the_run_folder_and_to_json(giirl: Command, t
         (["metrics.host=256.0.0.1"], ""),
         (["--json", "missing/a.json"], "cannot write missing/a.json"),
         (["--json", "."], "cannot write ."),
-        (["run=broken.toml"], "broken.toml is not empty"),
+        (["run=broken.toml"], "broken.toml is a file: choose another run=FOLDER"),
         (["run=broken.toml/run"], "broken.toml/run"),
         (["--resume", "out"], "out is not a run"),
     ],

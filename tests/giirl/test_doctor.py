@@ -9,6 +9,7 @@ import pytest
 
 from giirl import doctor
 from giirl.doctor import Dependency
+from tests.browser_farm import machines
 
 REQUIRES = [
     "click<9,>=8.3",
@@ -93,3 +94,28 @@ def test_recordings_are_counted_and_an_empty_folder_differs_from_a_missing_one(t
     (tmp_path / "COLLECTION/click-test").mkdir(parents=True)
     (tmp_path / "COLLECTION/click-test/one.json.gz").write_bytes(b"")
     assert doctor.recordings(tmp_path).found.startswith("1 recordings")
+
+
+def test_loopback_counts_only_if_it_can_be_connected_to() -> None:
+    assert doctor.loopback().ok
+    look = "from giirl import doctor; check = doctor.loopback(); print(check.ok, check.found, check.fix)"
+    said = machines.run(machines.NO_LOOPBACK, "-c", look).stdout
+    assert said.startswith("False [Errno 101] Network is unreachable")
+    assert "ip link set lo up" in said
+
+
+@pytest.mark.chrome
+def test_chrome_is_started_and_shows_a_page() -> None:
+    check = doctor.browser()
+    assert check.ok
+    assert "Click the button." in check.found
+
+
+@pytest.mark.chrome
+def test_a_chrome_that_is_installed_but_does_not_start_is_missing() -> None:
+    done = machines.run(machines.NO_NAMESPACES, "-m", "giirl", "doctor", COLUMNS="2000")
+    assert done.returncode == 1
+    (line,) = (line for line in done.stdout.splitlines() if "No usable sandbox!" in line)
+    assert "MISSING" in line
+    assert "GIIRL_CHROME_SANDBOX=off" in line
+    assert done.stderr == "giirl: missing: Chromium shows a page; the table says how to get them\n"

@@ -30,6 +30,7 @@ def learn(path: Path, *changes: str) -> dict[str, Any]:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(400)
 def test_giirl_solves_the_four_fake_tasks_and_learns_a_reward_that_depends_on_the_goal(tmp_path: Path) -> None:
     tasks = learn(tmp_path / "run", "iterations=150")["tasks"]
     assert {task: row["success"] for task, row in tasks.items() if row["success"] < 0.95} == {}

@@ -15,7 +15,7 @@ from giirl_core.algorithms import WorldName
 
 def test_every_transport_benchmark_has_a_command() -> None:
     assert set(TRANSPORT) == set(BENCHES)
-    assert {"farm", "learner", "training", *TRANSPORT} == set(bench.commands)
+    assert {"farm", "learner", "scaling", "training", *TRANSPORT} == set(bench.commands)
 
 
 def test_every_study_of_the_grid_has_a_command() -> None:

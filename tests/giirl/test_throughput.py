@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from giirl.run.throughput import StreamState, Throughput, format_rates
+from giirl.throughput import StreamState, Throughput, format_rates
 
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     now_s = [0.0]
-    monkeypatch.setattr("giirl.run.throughput.time.monotonic", lambda: now_s[0])
+    monkeypatch.setattr("giirl.throughput.time.monotonic", lambda: now_s[0])
     return now_s
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from giirl_core.files import write_json
+from giirl_core.files import short_temporary_folder, write_json
 
 
 def test_json_is_written_with_a_final_newline(tmp_path: Path) -> None:
@@ -23,3 +23,12 @@ def test_a_value_that_is_not_json_leaves_the_old_file_and_no_other(tmp_path: Pat
         write_json(tmp_path / "a.json", {"a": object()})
     assert json.loads((tmp_path / "a.json").read_text()) == {"a": 1}
     assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_sockets_lie_in_the_folder_for_temporary_files_unless_its_path_is_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", "/var/tmp")
+    assert short_temporary_folder() == "/var/tmp"
+    assert short_temporary_folder("/scratch") == "/scratch"
+    assert short_temporary_folder("/scratch/" + "x" * 72) == "/tmp"
+    monkeypatch.setattr("tempfile.tempdir", "/scratch/" + "x" * 72)
+    assert short_temporary_folder() == "/tmp"

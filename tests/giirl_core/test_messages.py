@@ -111,7 +111,7 @@ def test_a_message_over_a_limit_is_a_wire_error() -> None:
 def test_the_error_names_both_schema_versions() -> None:
     message = wire.encode({"kind": "x"})
     other = wire.PREFIX.pack(wire.MAGIC, wire.SCHEMA_VERSION + 1, 0) + message[wire.PREFIX.size :]
-    with pytest.raises(WireError, match="schema version 7, wanted 6"):
+    with pytest.raises(WireError, match="schema version 8, wanted 7"):
         wire.decode(other)
 
 

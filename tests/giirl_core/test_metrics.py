@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 import urllib.request
 from collections.abc import Iterator
 from contextlib import closing
@@ -13,6 +16,8 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from giirl_core.metrics import Metrics, waiting, write_targets
 
+ROOT = Path(__file__).resolve().parents[2]
+
 
 @pytest.fixture
 def metrics() -> Iterator[Metrics]:
@@ -21,7 +26,8 @@ def metrics() -> Iterator[Metrics]:
 
 
 def scrape(address: str) -> dict[tuple[str, frozenset[tuple[str, str]]], float]:
-    with urllib.request.urlopen(f"http://{address}/metrics", timeout=10) as response:
+    no_proxy = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+    with no_proxy.open(f"http://{address}/metrics", timeout=10) as response:
         families = list(text_string_to_metric_families(response.read().decode()))
     return {
         (sample.name, frozenset(sample.labels.items())): sample.value
@@ -49,6 +55,32 @@ def test_a_scrape_returns_the_recorded_values(metrics: Metrics) -> None:
     assert found["giirl_gradient_update_duration_seconds_count", frozenset({("network", "policy")})] == 1
 
 
+IN_ANOTHER_SERVICE = """
+from prometheus_client import CollectorRegistry, Counter
+from giirl_core.metrics import Metrics
+metrics = Metrics()
+metrics.episodes.labels("click-test", "success").inc()
+metrics.policy_lag.observe(1)
+print(metrics.registry.get_sample_value("giirl_episodes_total", {"task": "click-test", "outcome": "success"}))
+Counter("own", "a counter of the service", registry=CollectorRegistry()).inc()
+"""
+
+
+def test_the_folder_of_another_services_metrics_is_left_to_it(tmp_path: Path) -> None:
+    def start() -> subprocess.CompletedProcess[str]:
+        environment = {**os.environ, "PROMETHEUS_MULTIPROC_DIR": str(tmp_path / "prom"), "PYTHONPATH": str(ROOT)}
+        command = [sys.executable, "-c", IN_ANOTHER_SERVICE]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
+
+    without_folder = start()
+    assert without_folder.stdout == "1.0\n", without_folder.stderr
+    assert "prom/counter_" in without_folder.stderr  # the service's own counter, as the service has asked for
+    (tmp_path / "prom").mkdir()
+    assert start().returncode == 0
+    (file,) = (tmp_path / "prom").iterdir()
+    assert b"giirl" not in file.read_bytes()
+
+
 def test_the_names_of_all_metrics(metrics: Metrics) -> None:
     assert {family.name for family in metrics.registry.collect()} == {
         "giirl_browser_recoveries",
@@ -60,6 +92,7 @@ def test_the_names_of_all_metrics(metrics: Metrics) -> None:
         "giirl_gradient_update_duration_seconds",
         "giirl_gradient_updates",
         "giirl_healthy_workers",
+        "giirl_page_limits",
         "giirl_policy_lag_versions",
         "giirl_policy_version",
         "giirl_reward_lag_versions",

@@ -67,6 +67,7 @@ def pages(draw: st.DrawFn) -> Page:
         tampered=np.array(draw(st.lists(st.booleans(), min_size=count, max_size=count)), np.bool_),
         colour=draw(texts),
         shape=draw(texts),
+        attributes=draw(texts),
     )
 
 
@@ -141,7 +142,7 @@ def assert_same_trajectory(found: Trajectory, wanted: Trajectory) -> None:
     for name in ("behaviour_logp", "rewards"):
         _assert_same_array(getattr(found, name), getattr(wanted, name))
     for found_page, wanted_page in zip(found.pages, wanted.pages, strict=True):
-        for name in ("tag", "text", "value", "classes", "colour", "shape"):
+        for name in ("tag", "text", "value", "classes", "colour", "shape", "attributes"):
             assert getattr(found_page, name) == getattr(wanted_page, name)
         for name in ("ref", "parent", "box", "focused", "tampered"):
             _assert_same_array(getattr(found_page, name), getattr(wanted_page, name))

@@ -19,8 +19,9 @@ from giirl_core.config import NetConfig
 from giirl_core.metrics import Metrics
 from giirl_core.nets.action_batch import ActionBatch
 from giirl_core.nets.batch import Batch, collate
-from giirl_core.nets.features import MATCH_KINDS, Features, featurise
+from giirl_core.nets.features import Features, featurise
 from giirl_core.nets.language import Vectors, load_vectors
+from giirl_core.nets.layout import MATCH_KINDS
 from giirl_core.nets.models import PolicyNet, RewardNet
 from giirl_core.sampled_actions import SampledActions
 from giirl_core.types import Action, Episode, EpisodeSpec, Goal, Observation, Page, Purpose, Trajectory, Verb

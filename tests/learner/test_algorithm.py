@@ -1,8 +1,9 @@
-"""Algorithm 1 calls its parts in order, and a restored learner continues exactly like the saved one."""
+"""Algorithm 1 calls its parts in order, a restored learner continues like the saved one; schedules."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 import torch
 
 from giirl_core.algorithms import ALGORITHMS
-from giirl_core.config import Config, DiscriminatorConfig, GridConfig, NetConfig, PolicyConfig
+from giirl_core.config import CloningConfig, Config, DiscriminatorConfig, GridConfig, NetConfig, PolicyConfig
 from giirl_core.config_file import load_config
 from giirl_core.metrics import Metrics
 from giirl_core.nets.parameters import hash_nets, load_net, serialise_net
@@ -21,6 +22,7 @@ from gridcraft.instructions import ColourPair
 from gridcraft.layouts import named_layout
 from gridcraft.world import build_world
 from learner.algorithms import LOOPS
+from learner.data import Example
 from learner.giirl import giirl
 from learner.grid.learner import GridLearner
 from learner.learner import Learner
@@ -176,3 +178,55 @@ def test_invalid_weights_are_an_error_and_do_not_change_the_net(wrong: str) -> N
 
 def test_the_weights_do_not_contain_the_word_vectors() -> None:
     assert len(serialise_net(policy(), 0).blob) < policy().encoder.table.nbytes
+
+
+# --- schedules
+
+
+def test_the_learning_rate_falls_while_the_policy_is_cloned_before_the_first_iteration() -> None:
+    demonstrations = [episode.trajectory for episode in expert_episodes(1)]
+    config = Config(
+        net=NetConfig(width=16, vectors="hashed"),
+        policy=PolicyConfig(bc_warmup_updates=4),
+        cloning=CloningConfig(learning_rate=1e-3, final_lr_fraction=0.2, batch=1),
+    )
+    learner = Learner(config, demonstrations, Metrics())
+    rates: list[float] = []
+    update = learner.cloner.update
+
+    def record(expert: Sequence[Example]) -> dict[str, float]:
+        rates.append(learner.cloner.optimiser.param_groups[0]["lr"])
+        return update(expert)
+
+    learner.cloner.update = record  # type: ignore[method-assign]
+    assert len([*learner.bc_warmup()]) == 4
+    assert rates == pytest.approx([1e-3, 0.8e-3, 0.6e-3, 0.4e-3])
+
+
+def test_the_accuracy_schedule_lowers_the_rate_from_accuracy_1_to_one_half() -> None:
+    demonstrations = [episode.trajectory for episode in expert_episodes(1)]
+    config = Config(
+        net=NetConfig(width=16, vectors="hashed"),
+        discriminator=DiscriminatorConfig(lr_schedule="accuracy", learning_rate=1.0, final_lr_fraction=0.1),
+    )
+    learner = Learner(config, demonstrations, Metrics())
+    for accuracy, rate in ((1.0, 1.0), (0.75, 0.55), (0.5, 0.1), (0.0, 0.1)):
+        learner.discriminator.accuracy = accuracy
+        learner.anneal(config.iterations // 2)
+        assert learner.discriminator.optimiser.param_groups[0]["lr"] == pytest.approx(rate)
+
+
+def test_learning_rates_and_entropy_decay_linearly() -> None:
+    demonstrations = [episode.trajectory for episode in expert_episodes(1)]
+    config = Config(
+        iterations=101,
+        net=NetConfig(width=16, vectors="hashed"),
+        policy=PolicyConfig(learning_rate=1.0, final_lr_fraction=0.2, entropy=0.5, final_entropy_fraction=0.4),
+        cloning=CloningConfig(learning_rate=2.0, final_lr_fraction=0.2),
+    )
+    learner = Learner(config, demonstrations, Metrics())
+    for step, rate, entropy in ((0, 1.0, 0.5), (50, 0.6, 0.35), (100, 0.2, 0.2)):
+        learner.anneal(step)
+        assert learner.policy.optimiser.param_groups[0]["lr"] == pytest.approx(rate)
+        assert learner.cloner.optimiser.param_groups[0]["lr"] == pytest.approx(2 * rate)
+        assert learner.policy.entropy == pytest.approx(entropy)

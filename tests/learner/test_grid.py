@@ -31,7 +31,7 @@ SMALL = Config(
         updates=2, batch=32, clip=8.0, gradient_penalty=0.2, policy_on_expert_states=0.0, rename_prob=0.0
     ),
     policy=PolicyConfig(updates=3, gamma=0.95, entropy=0.1),
-    cloning=CloningConfig(batch=4),
+    cloning=CloningConfig(learning_rate=1e-3, updates=1, batch=4),
     grid=GridConfig(random_episodes=10, demonstrations=2, batch=32, measure_every=1),
 )
 WORLD = build_world([named_layout("regions")])

@@ -16,8 +16,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from browser_farm.human import recordings
-from browser_farm.human.recordings import find_recordings, import_recordings, read_recording
+from browser_farm.human import recording_files
+from browser_farm.human.recording_files import find_recordings
+from browser_farm.human.recordings import import_recordings, read_recording
 from giirl_core.types import Trajectory
 from tests.browser_farm.human.recording_builder import RecordingBuilder, enter_text_page, enter_text_recording
 
@@ -63,7 +64,7 @@ def test_an_invalid_file_is_a_value_error_of_one_line_that_names_the_file(tmp_pa
 
 
 def test_a_gzip_bomb_is_refused_before_it_is_decompressed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recordings, "MAX_BYTES", 1 << 20)
+    monkeypatch.setattr(recording_files, "MAX_BYTES", 1 << 20)
     path = tmp_path / "bomb.json.gz"
     path.write_bytes(gzip.compress(b" " * (8 << 20)))
     with pytest.raises(ValueError, match="more than 1 MB"):

@@ -54,7 +54,7 @@ class Reader:
     def __init__(self) -> None:
         self._console: list[str] = []
         self._requests: list[str] = []
-        self._chrome = Chrome(headless=True, no_sandbox=None, timeout_s=60.0)
+        self._chrome = Chrome(headless=True, sandbox="auto", timeout_s=60.0)
         try:
             url = browser_url(self._chrome.debugger_address, timeout_s=DEADLINE_S)
             self._tools = DevTools(url, timeout_s=DEADLINE_S, on_event=self._on_event)

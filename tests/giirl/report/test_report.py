@@ -115,7 +115,7 @@ def test_an_unfinished_run_is_reported_up_to_its_last_iteration(finished: Path, 
     assert "has no evaluation result" in page.text
     assert page.text.count("Own instruction") >= 8
     shutil.rmtree(path / "checkpoints")
-    assert "holds no checkpoint" in reported(path).text
+    assert "has no checkpoint yet" in reported(path).text
     (path / "curve.jsonl").unlink()
     (path / "demonstrations.giirl").unlink()
     assert "after 0 of 4 iterations" in reported(path).text

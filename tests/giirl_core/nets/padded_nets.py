@@ -12,20 +12,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from giirl_core.config import NetConfig
+from giirl_core.nets import layout
 from giirl_core.nets.language import PADDING, Vectors
 from giirl_core.types import LEARNABLE_VERBS, NO_SPAN, Verb
-from tests.giirl_core.nets.padded_features import (
-    CLASSES,
-    ELEMENT_FLAGS,
-    HEIGHT_PX,
-    POSITION,
-    TAGS,
-    TOKEN_FLAGS,
-    WIDTH_PX,
-    ActionBatch,
-    Batch,
-    without_overlap,
-)
+from tests.giirl_core.nets.padded_features import ActionBatch, Batch, without_overlap
 
 VERBS = len(LEARNABLE_VERBS)  # CLICK and TYPE, which have the numbers 0 and 1
 MASKED_LOGIT = -1e9  # of illegal or padded choices
@@ -52,14 +42,16 @@ class Encoder(nn.Module):
         self.config, width = config, config.width
         self.register_buffer("table", torch.from_numpy(vectors.table), persistent=False)
         words = self.table.shape[1]
-        self.token_in = nn.Linear(words + TOKEN_FLAGS, width)
+        self.token_in = nn.Linear(words + layout.TOKEN_FLAGS, width)
         self.token_conv = nn.ModuleList(nn.Linear(3 * width, width) for _ in range(2))
-        self.tag = nn.Embedding(TAGS, 16)
-        self.classes = nn.Embedding(CLASSES, 8, padding_idx=0)
-        self.element_in = nn.Linear(words + 16 + 8 + ELEMENT_FLAGS + 3 * width, width)
+        self.tag = nn.Embedding(layout.TAGS, 16)
+        self.classes = nn.Embedding(layout.CLASSES, 8, padding_idx=0)
+        self.element_in = nn.Linear(2 * words + 16 + 8 + layout.ELEMENT_FLAGS, width)
+        self.match_in = nn.Linear(width, layout.MATCH_KINDS * width, bias=False)
         self.goal_query = nn.Linear(width, width)
         self.goal_out = nn.Linear(2 * width, width)
         self.attention = Attention(width)
+        self.group = nn.Linear(width, width)
         self.adjacent = nn.Linear(width, width) if config.adjacent_elements else None
         self.goal_pool = nn.Linear(width, 1)
         self.summary = nn.Linear(3 * width, width)
@@ -89,25 +81,35 @@ class Encoder(nn.Module):
 
     def _encode_page(self, batch: Batch, tokens: Tensor) -> Tensor:
         """[B, E, D] the elements, with the goal tokens they match, attention to the goal, and the other elements."""
-        word_count = (batch.element_words != PADDING).sum(2, keepdim=True).clamp(min=1)
-        text = self.table[batch.element_words].sum(2) / word_count
-        matching = torch.einsum("bkel,bld->bekd", batch.matches, tokens).flatten(2)
+        text, kind = self._mean_words(batch.element_words), self._mean_words(batch.element_kind)
+        weight = self.match_in.weight.unflatten(0, (layout.MATCH_KINDS, -1))
+        matching = torch.einsum("bkel,bld,kcd->bec", batch.matches, tokens, weight)
         classes = self.classes(batch.element_classes).sum(2)
-        parts = [text, self.tag(batch.element_tag), classes, batch.element_flags, matching]
-        hidden = torch.relu(self.element_in(torch.cat(parts, dim=2)))
+        parts = [text, kind, self.tag(batch.element_tag), classes, batch.element_flags]
+        hidden = torch.relu(self.element_in(torch.cat(parts, dim=2)) + matching)
         weights = torch.einsum("bed,bld->bel", self.goal_query(hidden), tokens) / hidden.shape[2] ** 0.5
         weights = weights.masked_fill(~batch.token_mask.unsqueeze(1), MASKED_LOGIT).softmax(2)
         goal = torch.einsum("bel,bld->bed", weights, tokens)
         hidden = hidden + torch.relu(self.goal_out(torch.cat([hidden, goal], dim=2)))
-        out: Tensor = hidden + self.attention(hidden, batch.element_mask) if self.config.element_attention else hidden
+        out: Tensor = hidden + self.attention(hidden, batch) if self.config.element_attention else hidden
+        members = hidden.unsqueeze(1).masked_fill(~batch.same_group.unsqueeze(3), -1.0)  # [B, E, E, D]
+        out = out + torch.relu(self.group(members.amax(2).clamp(min=0)))
         if self.adjacent is not None:
             out = out + torch.relu(self.adjacent(torch.einsum("bij,bjd->bid", adjacency(batch), hidden)))
         return out
 
+    def _mean_words(self, rows: Tensor) -> Tensor:
+        """[B, E, D] the mean of the word vectors with the rows [B, E, W], without padding."""
+        count = (rows != PADDING).sum(2, keepdim=True).clamp(min=1)
+        mean: Tensor = self.table[rows].sum(2) / count
+        return mean
+
 
 def adjacency(batch: Batch) -> Tensor:
     """[B, E, E] the weights of each element over the other leaves of its page, by distance in pixels; 0 for others."""
-    box = batch.element_flags[:, :, POSITION] * torch.tensor([WIDTH_PX, HEIGHT_PX, WIDTH_PX, HEIGHT_PX])
+    box = batch.element_flags[:, :, layout.POSITION] * torch.tensor(
+        [layout.WIDTH_PX, layout.HEIGHT_PX, layout.WIDTH_PX, layout.HEIGHT_PX]
+    )
     size = box[:, :, 2:]
     centre = box[:, :, :2] + size / 2
     gap = (centre[:, :, None] - centre[:, None]).abs() - (size[:, :, None] + size[:, None]) / 2
@@ -125,12 +127,14 @@ class Attention(nn.Module):
         self.heads = heads
         self.project = nn.Linear(width, 3 * width)
         self.out = nn.Linear(width, width)
+        self.bias = nn.Parameter(torch.zeros(heads, layout.RELATIONS))
 
-    def forward(self, x: Tensor, mask: Tensor) -> Tensor:
+    def forward(self, x: Tensor, batch: Batch) -> Tensor:
         size, count, width = x.shape
         q, k, v = self.project(x).view(size, count, 3, self.heads, -1).unbind(2)
         scores = torch.einsum("bihd,bjhd->bhij", q, k) / (width // self.heads) ** 0.5
-        weights = scores.masked_fill(~mask[:, None, None, :], MASKED_LOGIT).softmax(3)
+        scores = scores + self.bias[:, batch.relations].transpose(0, 1)
+        weights = scores.masked_fill(~batch.element_mask[:, None, None, :], MASKED_LOGIT).softmax(3)
         mixed = torch.einsum("bhij,bjhd->bihd", weights, v).reshape(size, count, width)
         out: Tensor = torch.relu(self.out(mixed))
         return out

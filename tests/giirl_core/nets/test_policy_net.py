@@ -157,8 +157,8 @@ def test_join_keeps_the_order_of_its_arguments() -> None:
 
 
 def labels(first: str, second: str) -> Page:
-    """A form with two lines, each with a checkbox and its label."""
-    form = page("div", "input_checkbox", f"t:{first}", "input_checkbox", f"t:{second}", parent=(-1, 0, 0, 0, 0))
+    """A list with two lines, each with an image and its label."""
+    form = page("div", "img", f"t:{first}", "img", f"t:{second}", parent=(-1, 0, 0, 0, 0))
     box = np.array([[0, 0, 160, 50], [4, 4, 13, 13], [21, 3, 30, 16], [4, 24, 13, 13], [21, 23, 30, 16]])
     return replace(form, box=box.astype(np.float32))
 
@@ -173,7 +173,7 @@ def test_the_adjacent_element_is_the_nearest_leaf_in_the_same_line() -> None:
 
 
 @pytest.mark.parametrize("adjacent", [True, False])
-def test_with_adjacent_elements_a_checkbox_is_encoded_with_its_label(adjacent: bool) -> None:
+def test_with_adjacent_elements_an_image_is_encoded_with_its_label(adjacent: bool) -> None:
     goal = Goal("Select Ok")
     torch.manual_seed(0)
     encoder = PolicyNet(vectors(), NetConfig(width=16, adjacent_elements=adjacent, element_attention=False)).encoder

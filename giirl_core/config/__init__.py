@@ -8,22 +8,25 @@ from pydantic import AfterValidator, Field
 from pydantic.dataclasses import dataclass
 
 from giirl_core.algorithms import ALGORITHMS, WorldName, algorithm_names
-from giirl_core.config_sections import (
+from giirl_core.config.learning import (
+    CloningConfig,
+    DiscriminatorConfig,
+    GridConfig,
+    LearnerConfig,
+    NetConfig,
+    PolicyConfig,
+    SoftQConfig,
+)
+from giirl_core.config.sections import (
     MAX_ACTORS,
     STRICT,
     ActorConfig,
-    CloningConfig,
     DemosConfig,
-    DiscriminatorConfig,
     EvaluateConfig,
-    GridConfig,
-    LearnerConfig,
     MetricsConfig,
-    NetConfig,
-    PolicyConfig,
+    Place,
     Positive,
     ScoringConfig,
-    SoftQConfig,
     StreamConfig,
 )
 
@@ -64,7 +67,7 @@ Algorithm = Annotated[str, AfterValidator(_known_algorithm), Field(json_schema_e
 class Config:
     """All settings of a run."""
 
-    run: str = ""
+    run: Place = ""
     """Folder of the run. Empty makes `runs/NAME-TIME`."""
     world: WorldName = "miniwob"
     """MiniWoB pages in a browser, or LanguageGridCraft."""
@@ -76,10 +79,11 @@ class Config:
     """Real Chrome, or the fake browser of the tests, which plays a few tasks."""
     algorithm: Algorithm = "giirl"
     """What is trained; each is described in docs/algorithms.md. The grid has giirl and cloning."""
-    reward_from: str = ""
+    reward_from: Place = ""
     """With `algorithm=frozen`, and only there: the run whose learned reward is used."""
     tasks: Annotated[tuple[str, ...], Field(min_length=1)] = DEFAULT_TASKS
-    """Tasks to train and evaluate on, with one policy and one reward for all."""
+    """Tasks to train and evaluate on, with one policy and one reward for all: names of MiniWoB tasks, task files of
+    own pages (`tasks/invoices.toml`), or folders of them (`tasks/`)."""
     held_out_goals: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Fraction of all instructions that training and demonstrations never contain."""
     iterations: Positive = 300

@@ -1,4 +1,4 @@
-"""The sections of the settings tree, with defaults and allowed ranges next to the types.
+"""The settings of the nets and of how they learn.
 
 The docstring below a field is its entry in docs/configuration.md; the unit stands in brackets at its end. After a
 change: `python -m giirl_core.config_reference > docs/configuration.md`.
@@ -8,19 +8,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
-
-MAX_ACTORS = 1024  # the index of an actor is part of its page seeds
-
-Positive = Annotated[int, Field(ge=1)]
-Seconds = Annotated[float, Field(gt=0)]
-Share = Annotated[float, Field(ge=0, le=1)]
-Weight = Annotated[float, Field(ge=0)]
-PositiveFloat = Annotated[float, Field(gt=0)]
-RewardForm = Literal["logit", "d", "log_d", "gail", "goal"]  # giirl_core/nets/reward.py has the formulas
+from giirl_core.config.sections import STRICT, Positive, PositiveFloat, RewardForm, Share, Weight
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -39,70 +30,6 @@ class NetConfig:
     """Let every element attend to all other elements of the page (self-attention)."""
     adjacent_elements: bool = False
     """Also read each element together with the elements directly next to it, as a check box with its label."""
-
-
-@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
-class DemosConfig:
-    """Where demonstrations come from. Only successful ones are used."""
-
-    source: Literal["scripted", "file", "recordings"] = "scripted"
-    """Scripted experts, a file written by `giirl demos`, or a folder of public human recordings."""
-    path: str = ""
-    """The demonstration file, or the folder of recordings. Unused with scripted experts."""
-    per_task: Positive = 100
-    """Largest number of demonstrations of each task. [episodes]"""
-    collections: tuple[str, ...] = ()
-    """Sub-folders of the recordings to read. Empty reads all of them."""
-    noise_fraction: Share = 0.0
-    """Fraction of each task's demonstrations that is replaced by episodes of the random policy."""
-
-
-@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
-class ActorConfig:
-    """The processes that play episodes."""
-
-    count: Annotated[int, Field(ge=1, le=MAX_ACTORS)] = 1
-    """Number of actors. `giirl actors` changes it during a run. [processes]"""
-    min_healthy: Positive = 1
-    """The run ends with an error when fewer actors than this are left. [processes]"""
-    tabs: Positive = 8
-    """Episodes that one actor plays at the same time, each in a tab of one Chrome. [tabs]"""
-    open_pages: Annotated[int, Field(ge=0, le=256)] = 0
-    """Pages that one actor keeps open in training, while `tabs` of them are played. 0: one for each task, from `tabs`
-    to 64. [tabs]"""
-    step_delay_s: Annotated[float, Field(ge=0, le=60)] = 0.0
-    """Simulated time of every step, for experiments on pages that respond slowly. [s]"""
-    call_timeout_s: Seconds = 10.0
-    """Deadline of one call to the browser. [s]"""
-    launch_timeout_s: Seconds = 60.0
-    """Deadline of starting Chrome. [s]"""
-    score_timeout_s: Seconds = 1.0
-    """Deadline of one request to a reward service. After a second try the learner computes the rewards. [s]"""
-    heartbeat_timeout_s: Seconds = 60.0
-    """An actor that sends nothing for this long is replaced. [s]"""
-
-
-@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
-class ScoringConfig:
-    """The reward service, which computes rewards for the actors."""
-
-    replicas: Annotated[int, Field(ge=1, le=64)] = 1
-    """Number of reward services. An actor asks the least loaded one. [processes]"""
-
-
-@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
-class StreamConfig:
-    """How far actors may run ahead of the learner, and how old a trajectory may be."""
-
-    credits: Annotated[int, Field(ge=1, le=1024)] = 256
-    """Most trajectories of one actor that may be played, scored, sent or queued at a time. Flow control allows fewer,
-    so that none grows stale. [trajectories]"""
-    policy_lag: Annotated[int, Field(ge=0, le=8)] = 4
-    """Trajectories of a policy further behind than this are dropped and counted. 0 is lock-step. [versions]"""
-    reward_lag: Annotated[int, Field(ge=0, le=8)] = 4
-    """Rewards further behind than this are computed again by the learner. [versions]"""
-    take_timeout_s: Seconds = 120.0
-    """The run ends with an error when the actors send too few trajectories for this long. [s]"""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -196,19 +123,21 @@ class PolicyConfig:
     value_loss_weight: Weight = 0.5
     """Weight of the squared error of the value. [relative]"""
     bc_warmup_updates: Annotated[int, Field(ge=0)] = 0
-    """Updates of behavioural cloning before the first rollout. [updates]"""
+    """Updates of behavioural cloning before the first rollout. Their learning rate falls linearly. [updates]"""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
 class CloningConfig:
     """Behavioural cloning on the same policy net."""
 
-    learning_rate: PositiveFloat = 1e-3
+    learning_rate: PositiveFloat = 3e-3
     """Learning rate of the first iteration (Adam)."""
     final_lr_fraction: Share = 0.1
     """Learning rate of the last iteration, as a fraction of the first. In the grid it does not fall."""
+    updates: Positive = 2
+    """Gradient updates per iteration. [updates]"""
     batch: Positive = 64
-    """Demonstrations in one update, all their steps. There is one update per iteration. [episodes]"""
+    """Demonstrations in one update, all their steps. [episodes]"""
     rename_prob: Share = 0.5
     """As `discriminator.rename_prob`."""
     position_jitter: Weight = 0.1
@@ -235,26 +164,6 @@ class SoftQConfig:
     """As `discriminator.rename_prob`."""
     position_jitter: Weight = 0.1
     """As `discriminator.position_jitter`. [fractions of the page]"""
-
-
-@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
-class EvaluateConfig:
-    """How the result is measured."""
-
-    episodes: Positive = 200
-    """Fresh pages of each task for the greedy policy. [episodes]"""
-    random_episodes: Positive = 200
-    """Fresh pages of each task for the random baseline. [episodes]"""
-
-
-@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
-class MetricsConfig:
-    """The Prometheus endpoint of each process."""
-
-    host: str = "127.0.0.1"
-    """Address that every process listens on."""
-    port: Annotated[int, Field(ge=0, le=65535)] = 0
-    """Port of the learner; 0 takes any free one. The other processes always take a free one."""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)

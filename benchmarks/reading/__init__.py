@@ -1,0 +1,1 @@
+"""How well the nets read pages: the next action on recordings that were held out."""
