@@ -148,7 +148,7 @@ def _of_folder(path: Path) -> RunStatus:
 def _learner_address(folder: RunFolder) -> str:
     """Where the learner's metrics are, from the file for Prometheus; "" if there is none."""
     try:
-        groups = json.loads(folder.targets.read_text(encoding="utf-8"))
+        groups = json.loads(folder.targets.read_bytes())
         return next((str(g["targets"][0]) for g in groups if g["labels"]["process"] == "learner"), "")
     except (OSError, ValueError, LookupError, TypeError):
         return ""

@@ -127,8 +127,7 @@ class RayPlatform:
         threads: int = THREADS,
         detached: bool = True,
     ) -> RayProcess:
-        left = self._left.pop(name, None)
-        if left is not None:
+        if left := self._left.pop(name, None):
             self._handles[name] = left
             return RayProcess(left, self._pending, self._unfinished, reattached=True)
         # Ray pickles this class by value but its bases by name, so a process imports only the module of its `kind`.
@@ -179,14 +178,10 @@ class RayPlatform:
 
     def _find_left(self) -> dict[str, Any]:
         """The processes of this run that an earlier learner left, by name; those of another code are killed."""
-        found = {}
-        for full_name in ray.util.list_named_actors():
-            run, _, rest = full_name.partition("/")
-            if run != self._run:
-                continue
-            handle: Any = ray.get_actor(full_name, NAMESPACE)
-            name, version, _ = rest.split("/")
-            if version == self._version and name not in found:
+        found: dict[str, Any] = {}
+        for full_name, handle in _named_actors().get(self._run, {}).items():
+            _, name, *version = full_name.split("/")
+            if version[:1] == [self._version] and name not in found:
                 found[name] = handle
             else:
                 ray.kill(handle)
@@ -202,9 +197,7 @@ def kill_left(runs: Collection[str], *, dry_run: bool) -> list[str]:
         return []
     _join()
     try:
-        found: dict[str, dict[str, Any]] = {}
-        for name in ray.util.list_named_actors():
-            found.setdefault(name.partition("/")[0], {})[name] = ray.get_actor(name, NAMESPACE)
+        found = _named_actors()
         dead = {run for run, handles in found.items() if (run in runs if runs else _silent_s(handles) > DEAD_S)}
         killed = {name: handle for run in dead for name, handle in found[run].items()}
         for handle in killed.values() if not dry_run else ():
@@ -212,6 +205,15 @@ def kill_left(runs: Collection[str], *, dry_run: bool) -> list[str]:
         return sorted(killed)
     finally:
         ray.shutdown()
+
+
+def _named_actors() -> dict[str, dict[str, Any]]:
+    """The handles of all named actors of GIIRL in the cluster: run -> full name -> handle."""
+    found: dict[str, dict[str, Any]] = {}
+    for name in ray.util.list_named_actors():
+        with suppress(ValueError):  # it has just died
+            found.setdefault(name.partition("/")[0], {})[name] = ray.get_actor(name, NAMESPACE)
+    return found
 
 
 def _silent_s(handles: Mapping[str, Any]) -> float:

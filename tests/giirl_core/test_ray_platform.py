@@ -157,11 +157,12 @@ def test_a_process_has_a_place_when_ray_has_started_it(cluster: FakeRay, monkeyp
 
 
 def test_a_resumed_learner_takes_over_its_processes_but_none_with_other_code_or_settings(cluster: FakeRay) -> None:
-    code = VERSION
-    for name in (f"mine-1/actor-0/{code}/a", f"mine-1/actor-1/{code[:9]}0ther000/b", f"other/actor-0/{code}/c"):
+    other = VERSION[:9] + "0ther000"
+    names = [f"mine-1/actor-0/{VERSION}/a", f"mine-1/actor-1/{other}/b", f"other/actor-0/{VERSION}/c", "mine-1/actor-2"]
+    for name in names:
         cluster.add(name)
     ours = platform()
-    assert cluster.killed == [f"mine-1/actor-1/{code[:9]}0ther000/b"]
+    assert cluster.killed == [names[1], names[3]]
     taken, new = (ours.start(Worker, f"actor-{index}", place=Place()) for index in range(2))
     assert isinstance(taken, RayProcess)
     assert (taken.reattached, new.reattached) == (True, False)
