@@ -12,7 +12,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help install browser run test test-fast check clean
+.PHONY: help install browser run test test-fast check image clean
 
 # install_packages WHAT PACKAGE...: runs apt-get as root or through sudo. Without either it prints the command to type.
 define INSTALL_PACKAGES
@@ -91,6 +91,9 @@ check: install ## check style, types and import contracts
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m mypy
 	$(BIN)/lint-imports
+
+image: install ## build the image of a node from Debian packages; needs root, mmdebstrap and buildah
+	@deploy/image/build.sh
 
 clean: ## remove .venv and all caches, but not runs/
 	@rm -rf .venv .install.lock build dist *.egg-info

@@ -6,10 +6,11 @@ import os
 import struct
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from giirl_core.files import naming, try_lock, unlock
+from giirl_core.temporary import user_folder
 from giirl_core.wire.delivery import MAX_EARLIER, IncarnationCounts
 
 LOCK_TIMEOUT_S = 10.0  # an earlier incarnation that was suspended while it held the lock is killed within this time
@@ -24,6 +25,21 @@ class Replaced(RuntimeError):
 def read_counts(path: Path) -> IncarnationCounts:
     """(incarnation, episodes finished) pairs in the file of an actor, which may be running; () without a file."""
     return tuple(sorted(dict(_entries(path.read_bytes())).items())) if path.exists() else ()
+
+
+def counter_file(folder: Path | None, run: str, actor: str) -> Path:
+    """Where an actor counts its episodes: in `folder`, or without one in a temporary folder of the node.
+
+    ValueError if the temporary folder cannot be used.
+    """
+    return (folder or user_folder() / run) / f"{actor}.count"
+
+
+def delete_counts(path: Path) -> None:
+    """Delete the file of an actor, and its folder with the last file."""
+    path.unlink(missing_ok=True)
+    with suppress(OSError):  # other actors of the run have files in it
+        path.parent.rmdir()
 
 
 def _entries(data: bytes) -> Iterator[tuple[int, int]]:

@@ -9,34 +9,39 @@ from pathlib import Path
 
 from actors.agents import PolicyAgent
 from actors.browser import open_browser
-from actors.episode_counter import EpisodeCounter
+from actors.episode_counter import EpisodeCounter, counter_file, delete_counts
 from actors.schedule import Schedule
 from actors.uplink import Uplink
-from actors.worker import Orphaned, Worker, WorkerLimits
+from actors.worker import Worker, WorkerLimits
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import MAX_ACTORS
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.reward import build_policy
-from giirl_core.processes.worker_process import ORPHAN_TIMEOUT_S, TICK_S, WorkerProcess
+from giirl_core.processes.worker_process import TICK_S, WorkerProcess
+from giirl_core.telemetry.series import ACTOR
 from giirl_core.types import Purpose
 from giirl_core.weights import Weights
 from giirl_core.wire.score_client import ScoreClient
-from giirl_core.wire.transport import Keys
 
 
 class ActorProcess(WorkerProcess):
     """One actor. `run` blocks its thread until `stop`; the platform calls the other methods from other threads."""
 
-    def __init__(self, config: str, run: str, index: int, counter_file: str, keys: Keys | None) -> None:
-        super().__init__(config, keys)
-        self._run, self._index, self._counter_file = run, index, Path(counter_file)
+    KIND = ACTOR
+
+    def __init__(self, config: str, run: str, index: int, folder: Path | None, encrypted: bool) -> None:
+        """`folder` is where the actor counts its episodes; None is a temporary folder on the node that it runs on."""
+        name = f"actor-{index}"
+        self._index, self._counter_file = index, counter_file(folder, run, name)
+        self._temporary = folder is None
         self._worker: Worker | None = None
         self._weights: Weights | None = None  # the newest
         self._scorers: tuple[str, ...] = ()
+        super().__init__(config, run, name, encrypted)  # last, because it starts threads
 
     def addresses(self) -> tuple[str, str]:
-        """The address of the metrics, and "" because an actor serves nothing else."""
-        return self._metrics.serve(self._config.metrics.host), ""
+        """The address of the metrics, and the public key that this actor connects with; "" without encryption."""
+        return self.metrics_address(), self._keys.public.decode() if self._keys else ""
 
     def run(self, incarnation: int, first: int, learner: str, scorers: tuple[str, ...], weights: Weights) -> None:
         """Play until stopped.
@@ -44,7 +49,15 @@ class ActorProcess(WorkerProcess):
         `first` is the number of this actor's pages to skip: earlier incarnations may have played them. `learner` and
         `scorers` are the addresses of the ingest and of the reward services.
         """
-        config, metrics, name = self._config, self._metrics, f"actor-{self._index}"
+        self.ping()
+        self._running = True
+        try:
+            self._play(incarnation, first, learner, scorers, weights)
+        finally:
+            self._running = False
+
+    def _play(self, incarnation: int, first: int, learner: str, scorers: tuple[str, ...], weights: Weights) -> None:
+        config, metrics, name = self._config, self._metrics, self._name
         agent = PolicyAgent(
             build_policy(config), load_vectors(config.net.vectors), sampled_actions=config.sampled_actions
         )
@@ -78,7 +91,6 @@ class ActorProcess(WorkerProcess):
                 step_limit=config.step_limit,
                 lock_step=config.stream.policy_lag == 0,
                 max_playing=config.actors.tabs,
-                orphan_timeout_s=ORPHAN_TIMEOUT_S,
             )
             schedule = self._lock_step(browser.tabs) if limits.lock_step else self._endless(browser.tabs, first)
             worker = Worker(browser, agent, schedule, client, uplink, limits=limits, metrics=metrics)
@@ -87,17 +99,16 @@ class ActorProcess(WorkerProcess):
                 worker.load(self._weights)
             if self._stopped.is_set():
                 worker.stop(0.0)
+            metrics.health.ready()
             try:
                 worker.run()
-            except Orphaned:
-                self.leave()
-                raise
             finally:
-                if self._worker is worker:  # otherwise another call of `run` has begun
-                    self._worker = None
+                metrics.health.not_ready("its run has ended")
+                self._worker = None
 
     def rejoin(self, incarnation: int, first: int, learner: str, scorers: tuple[str, ...], weights: Weights) -> None:
         """Work for a learner that was restarted. Returns when `run` does, or at once if it is not running."""
+        self.ping()
         worker = self._worker
         self._weights = weights
         if worker is not None:
@@ -108,21 +119,34 @@ class ActorProcess(WorkerProcess):
 
     def load(self, weights: Weights) -> None:
         """Use newer policy weights; while the browser starts they are kept until it is ready."""
+        self.ping()
         self._weights = weights
         if self._worker is not None:
             self._worker.load(weights)
 
     def set_scorers(self, scorers: tuple[str, ...]) -> None:
         """Replace the addresses of the reward services."""
+        self.ping()
         self._scorers = scorers
         if self._worker is not None:
             self._worker.set_scorers(scorers)
 
     def stop(self, commit_timeout_s: float) -> None:
         """Make `run` deliver the finished episodes and return; see `Worker.stop`."""
+        self.ping()
         self._stopped.set()
         if self._worker is not None:
             self._worker.stop(commit_timeout_s)
+
+    def forget(self) -> None:
+        """Delete the count in the temporary folder of this node: a checkpoint covers all episodes of this actor."""
+        self.ping()
+        if self._temporary:
+            delete_counts(self._counter_file)
+
+    def silent_s(self) -> float:
+        worker = self._worker
+        return min(super().silent_s(), worker.learner_silent_s if worker else float("inf"))
 
     def _endless(self, tabs: int, first: int) -> Callable[[int], Schedule]:
         """An endless schedule of pages that no other actor plays, for any policy version."""

@@ -104,17 +104,18 @@ def _play_round(
     with waiting(metrics, "browser"):
         results = browser.step(commands)
     ended: list[Episode] = []
+    purpose = schedule.purpose.name.lower()
+    metrics.env_steps.labels(purpose).inc(len(results))
     for tab, result in results.items():
         slot = slots[tab]
-        metrics.env_steps.inc()
         if result.lost:
-            metrics.episodes.labels(slot.observation.episode.task, "lost").inc()
+            metrics.episodes.labels(slot.observation.episode.task, "lost", purpose).inc()
             schedule.requeue(slot.observation.episode)
         elif not slot.pages:
-            metrics.episodes.labels(slot.observation.episode.task, "empty_page").inc()
+            metrics.episodes.labels(slot.observation.episode.task, "empty_page", purpose).inc()
         elif result.done or commands[tab].last:
             episode = _close(slot, Outcome(raw_reward=result.raw_reward, ended=result.done))
-            metrics.episodes.labels(episode.trajectory.task, _outcome_name(episode.outcome)).inc()
+            metrics.episodes.labels(episode.trajectory.task, _outcome_name(episode.outcome), purpose).inc()
             ended.append(episode)
         else:
             assert result.observation is not None
@@ -139,7 +140,7 @@ def _give_back(
     metrics: Metrics,
 ) -> None:
     """An episode whose page did not open is void: it is played again. The tab goes on with its next one."""
-    metrics.episodes.labels(spec.task, "lost").inc()
+    metrics.episodes.labels(spec.task, "lost", schedule.purpose.name.lower()).inc()
     schedule.requeue_unopened(spec, browser.unopened.get(tab, ""))
     following = schedule.next(tab)
     if following is not None:

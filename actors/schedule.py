@@ -33,7 +33,7 @@ class Schedule:
         self._tasks_of_tab = [
             tasks[tab::tabs] if len(tasks) > tabs else [tasks[tab % len(tasks)]] for tab in range(tabs)
         ]
-        self._purpose, self._run_seed, self._first, self._stride = purpose, run_seed, first, stride
+        self.purpose, self._run_seed, self._first, self._stride = purpose, run_seed, first, stride
         self._quota = quota
         self._started = dict.fromkeys(tasks, 0)  # number of episodes of each task
         self._started_by_tab = [0] * tabs
@@ -55,7 +55,7 @@ class Schedule:
         self._started_by_tab[tab] += 1
         index = self._first + self._started[task] * self._stride
         self._started[task] += 1
-        return EpisodeSpec(task=task, seed=page_seed(self._purpose, self._run_seed, index))
+        return EpisodeSpec(task=task, seed=page_seed(self.purpose, self._run_seed, index))
 
     def opened(self, spec: EpisodeSpec) -> None:
         """The page of an episode has opened."""
@@ -73,7 +73,7 @@ class Schedule:
         Then its remaining pages are missing. RuntimeError in training, which cannot do without a task.
         """
         self._unopened[spec.task] += 1
-        if self._is_given_up(spec.task) and self._purpose is Purpose.TRAIN:
+        if self._is_given_up(spec.task) and self.purpose is Purpose.TRAIN:
             raise RuntimeError(
                 f"{self.MAX_UNOPENED} pages of {spec.task} in a row did not open, the last one: {reason}"
             )

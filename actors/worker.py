@@ -26,11 +26,6 @@ LOG = logging.getLogger(__name__)
 NO_VERSION = -1
 IDLE_S = 5.0  # time constant of the moving average of the share of idle tabs
 POLL_S = 0.005  # between polls of the sockets while the actor does not play
-OUTAGE_S, MAX_OUTAGE_S = 5.0, 60.0  # pause in requests after a failed one; doubles with each further failure
-
-
-class Orphaned(RuntimeError):
-    """The learner has been silent for too long."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +37,6 @@ class WorkerLimits:
     max_playing: int = 1 << 10  # episodes at the same time, in whichever tabs
     max_scoring: int = 64  # while more episodes than this wait for rewards, none starts
     flush_timeout_s: float = 2.0  # after `stop`: for outstanding rewards, and again for acknowledgements
-    orphan_timeout_s: float = float("inf")  # longest silence of the learner before the actor gives up
 
 
 class Worker:
@@ -73,7 +67,11 @@ class Worker:
         self._places = min(browser.tabs, limits.max_playing)
         self._playing = 0  # unfinished episodes
         self._idle = _MovingAverage()  # share of idle places
-        self._outage_end_s, self._outage_s = 0.0, OUTAGE_S  # of the reward service
+
+    @property
+    def learner_silent_s(self) -> float:
+        """Seconds since the learner's last message."""
+        return self._uplink.silent_for_s
 
     def load(self, weights: Weights) -> None:
         """Use these policy weights from the next round on."""
@@ -85,7 +83,6 @@ class Worker:
         def call() -> None:
             if self._scorer is not None:
                 self._scorer.set_replicas(scorers)
-                self._outage_end_s, self._outage_s = 0.0, OUTAGE_S
 
         self._calls.put(call)
 
@@ -110,12 +107,11 @@ class Worker:
     def run(self) -> None:
         """Play until `stop` is called, then deliver the finished episodes. Unfinished episodes are abandoned.
 
-        Raises Orphaned if the learner is silent for too long, and Refused if it rejects this actor. In both cases
-        nothing is delivered.
+        Raises Refused, and delivers nothing, if the learner rejects this actor.
         """
         try:
             self._play_until_stopped()
-        except (Orphaned, Refused):
+        except Refused:
             raise
         except Exception:
             self._deliver_finished()
@@ -182,27 +178,26 @@ class Worker:
         return min(self._uplink.startable(playing + scoring), self._limits.max_playing - playing)
 
     def _finish(self, episode: Episode) -> None:
-        """Request the rewards of an episode. Without a reward service, or during its outage, send it unscored."""
-        if self._scorer is None or time.monotonic() < self._outage_end_s:
+        """Request the rewards of an episode. If no reward service answers, send it unscored."""
+        if self._scorer is None or not self._scorer.answering:
             self._submit_unscored(episode)
         else:
             self._scorer.submit(episode, episode.trajectory)
 
     def _poll(self) -> None:
-        """Send the episodes whose scoring has succeeded or failed to the learner. Raises Refused or Orphaned."""
+        """Send the episodes whose scoring has succeeded or failed to the learner. Raises Refused."""
         for episode, rewards, version in self._scorer.poll() if self._scorer is not None else ():
             if rewards is None:
-                self._outage_end_s = time.monotonic() + self._outage_s
-                self._outage_s = min(2 * self._outage_s, MAX_OUTAGE_S)
                 self._submit_unscored(episode)
                 continue
-            self._outage_end_s, self._outage_s = 0.0, OUTAGE_S
             assert isinstance(episode, Episode)
             self._uplink.submit(replace(episode, trajectory=episode.trajectory.with_rewards(rewards, version)))
+        if self._scorer is not None and not self._scorer.answering:  # the learner can compute what would come late
+            for episode in self._scorer.cancel_pending():
+                self._submit_unscored(episode)
+        self._metrics.health.beat()
         self._uplink.idle_share = self._idle.update(1 - self._playing / self._places)
         self._uplink.poll()
-        if self._uplink.silent_for_s > self._limits.orphan_timeout_s:
-            raise Orphaned(f"no message from the learner for {self._limits.orphan_timeout_s:.0f} s")
 
     def _wait(self, what: str) -> None:
         with waiting(self._metrics, what):

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.peers import ACTORS, Echo, SimulatedActors, echo, reply_server, sample_episode, score, simulated_actors
 from giirl_core.config_file import load_config
-from giirl_core.processes.supervision import Process
+from giirl_core.processes.supervision import Place, Process
 from giirl_core.wire import messages as wire
 from giirl_core.wire.scoring import encode_request
 from giirl_core.wire.transport import Dealer
@@ -222,7 +222,7 @@ def _ray_peer() -> Any:
     os.environ.setdefault("RAY_worker_niceness", "0")  # Ray's default of 15 would slow its workers on a busy machine
     platform = RayPlatform(load_config(None, ["runtime=local", "actors.count=1"]), "bench")
     try:
-        peer: Process = platform.start(Echo, "echo", cpus=0, threads=1)
+        peer: Process = platform.start(Echo, "echo", place=Place(), threads=1)
         peer.call("take").result(WAIT_S)
         yield platform, peer
     finally:

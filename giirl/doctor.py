@@ -18,7 +18,8 @@ from itertools import islice
 from pathlib import Path
 
 from browser_farm.chrome.launcher import CHROMES, DRIVERS
-from giirl_core.config import DEFAULT_TASKS
+from giirl_core.config import DEFAULT_TASKS, MAX_ACTORS
+from giirl_core.processes.open_files import affordable_actors, files_for, open_files_limit
 from giirl_core.types import EpisodeSpec
 
 GIB = 1 << 30
@@ -26,6 +27,7 @@ MIN_PYTHON = (3, 11)
 MIN_MEMORY_BYTES = 4 * GIB
 MIN_SHARED_BYTES = GIB
 GLOVE_BYTES = 400_000 * 50 * 4  # words, numbers per word, bytes per number
+MIN_ACTORS = 64  # for which the limit on open files should be enough
 VERSION_TIMEOUT_S = 20.0
 CONNECT_TIMEOUT_S = 10.0
 REINSTALL = "make install"
@@ -61,7 +63,7 @@ def checks(demonstrations: Path | None = None) -> list[Check]:
     if match.ok:
         found.append(browser())
     found += [package(dependency) for dependency in dependencies()]
-    found += [pages(), glove(), cores(), memory(), shared_memory(Path("/dev/shm")), loopback()]
+    found += [pages(), glove(), cores(), memory(), shared_memory(Path("/dev/shm")), open_files(), loopback()]
     if demonstrations is not None:
         found.append(recordings(demonstrations))
     return found
@@ -248,6 +250,19 @@ def shared_memory(folder: Path) -> Check:
         ok=size >= MIN_SHARED_BYTES,
         found=f"{size / GIB:.2f} GiB, wanted {MIN_SHARED_BYTES // GIB}",
         fix="in a container: docker run --shm-size=2g",
+        needed=False,
+    )
+
+
+def open_files() -> Check:
+    """The files that a learner may open, and for how many actors that is enough."""
+    most = open_files_limit()
+    actors = affordable_actors(most)
+    return Check(
+        name="open files",
+        ok=actors >= MIN_ACTORS,
+        found=f"{most}, enough for {min(max(actors, 0), MAX_ACTORS)} actors",
+        fix=f"ulimit -Hn {files_for(MIN_ACTORS)}, or LimitNOFILE= of the service; fewer actors need fewer",
         needed=False,
     )
 

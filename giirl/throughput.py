@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -16,6 +16,7 @@ class StreamState:
     """The state of the stream of episodes, as a runtime reports it."""
 
     stale: int = 0  # episodes dropped as stale since the start of the session
+    queued: int = 0  # episodes that are accepted and not yet taken
     actors_idle: float = 0.0  # fraction of the actors' tabs that wait for the learner
 
 
@@ -70,6 +71,7 @@ class Throughput:
         stale = steps[-1].stale - (first.stale if steps[-1] is not first else 0)
         return {
             "episodes_per_s": round(episodes / seconds, 1),
+            "iterations_per_s": round(len(steps) / seconds, 3),
             "env_steps_per_s": round(sum(step.env_steps for step in steps) / seconds, 1),
             "learner_waits": round(sum(step.waited_s for step in steps) / seconds, 3),
             "actors_idle": round(self._idle, 3),
@@ -88,9 +90,11 @@ class Throughput:
         }
 
 
-def format_rates(rates: dict[str, float]) -> str:
-    """The recent rates as one line for the progress display."""
+def format_rates(rates: Mapping[str, float], dropped: Mapping[str, int]) -> str:
+    """The recent rates as one line for the progress display, and the episodes dropped in this session by reason."""
+    drops = "".join(f", {reason.replace('_', ' ')} {count}" for reason, count in dropped.items())
     return (
-        f"{rates['episodes_per_s']:.0f} episodes/s, learner waits {100 * rates['learner_waits']:.0f} %, actors idle "
-        f"{100 * rates['actors_idle']:.0f} %, lag {rates['lag']:.1f}, stale {100 * rates['stale']:.1f} %"
+        f"{rates['episodes_per_s']:.0f} episodes/s, {rates['env_steps_per_s']:.0f} steps/s, "
+        f"learner waits {100 * rates['learner_waits']:.0f} %, actors idle {100 * rates['actors_idle']:.0f} %, "
+        f"lag {rates['lag']:.1f}, stale {100 * rates['stale']:.1f} %{drops}"
     )

@@ -69,8 +69,14 @@ def dump_config(config: Config) -> str:
 
 def changed(config: Config) -> list[str]:
     """key=value for every setting that is not its default."""
-    default = dict(_leaves(_TREE.dump_python(Config(), mode="json")))
-    return [f"{key}={value}" for key, value in _leaves(_TREE.dump_python(config, mode="json")) if value != default[key]]
+    values = dict(_leaves(_TREE.dump_python(config, mode="json")))
+    return [f"{key}={values[key]}" for key in differences(Config(), config)]
+
+
+def differences(config: Config, other: Config) -> list[str]:
+    """The settings whose values differ, by their dotted names."""
+    values = dict(_leaves(_TREE.dump_python(config, mode="json")))
+    return [key for key, value in _leaves(_TREE.dump_python(other, mode="json")) if value != values[key]]
 
 
 def _leaves(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -57,6 +57,7 @@ class Job:
 
     def __init__(self, title: str, total: int, done: int, console: Console, bar: Progress | None) -> None:
         self._title, self._total, self._done, self._console, self._bar = title, total, done, console, bar
+        self._begun, self._begun_s = done, time.monotonic()
         self._logged_s = time.monotonic()
         self._task_id = bar.add_task(title, total=total, completed=done, note="") if bar else None
 
@@ -67,9 +68,26 @@ class Job:
             self._bar.update(self._task_id, completed=self._done, note=note)
         elif time.monotonic() - self._logged_s >= LOG_INTERVAL_S or self._done >= self._total > self._done - count:
             self._logged_s = time.monotonic()
+            now = time.strftime("%Y-%m-%d %H:%M:%S")
             self._console.print(
-                f"{self._title} {self._done}/{self._total}  {note}", highlight=False, markup=False, soft_wrap=True
+                f"{now} {self._title} {self._done}/{self._total}{self._left()}  {note}",
+                highlight=False,
+                markup=False,
+                soft_wrap=True,
             )
+
+    def _left(self) -> str:
+        """How long the rest takes at the rate so far, as ", 1:02:03 left"; "" at the end."""
+        done, seconds = self._done - self._begun, time.monotonic() - self._begun_s
+        rest = self._total - self._done
+        return f", {duration(seconds / done * rest)} left" if done > 0 < rest else ""
+
+
+def duration(seconds: float) -> str:
+    """A time like "1:02:03" or "2:03": hours, minutes, seconds."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
 
 
 def _unbroken(column: Column) -> list[str]:

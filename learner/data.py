@@ -15,7 +15,7 @@ from giirl_core.nets.action_batch import ActionBatch, collate_actions, collate_s
 from giirl_core.nets.batch import Batch, collate
 from giirl_core.nets.features import Features, featurise
 from giirl_core.nets.language import Vectors
-from giirl_core.types import Action, Goal, Trajectory, Verb
+from giirl_core.types import Action, Episode, Goal, Trajectory, Verb
 
 WRONG_GOAL_CACHE = 4096  # expert pages under wrong goals whose features are cached
 
@@ -175,3 +175,10 @@ def pad_rows(rows: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
     for b, row in enumerate(rows):
         table[b, : len(row)] = row
     return table
+
+
+def with_env_reward(episode: Episode) -> Trajectory:
+    """The trajectory with the sparse reward of the page, for the baseline that is trained on it."""
+    rewards = np.zeros(len(episode.trajectory), dtype=np.float32)
+    rewards[-1] = episode.outcome.raw_reward
+    return replace(episode.trajectory, rewards=rewards)

@@ -21,6 +21,11 @@ def learner_device(config: Config) -> torch.device:
     return torch.device("cuda")
 
 
+def device_memory_bytes() -> int:
+    """Memory that tensors of this process use on its CUDA device; 0 without one."""
+    return torch.cuda.memory_allocated() if torch.cuda.is_available() else 0
+
+
 def learner_threads(config: Config) -> int:
     """The number of CPU threads of the learner.
 

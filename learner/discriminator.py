@@ -210,7 +210,8 @@ class Discriminator:
         self.optimiser.zero_grad()
         (loss + penalty).backward()
         self.optimiser.step()
-        stats = {"d_loss": loss.item(), "d_penalty": penalty.item()}
+        clipped = torch.cat(list(parts.values())).abs() >= config.clip
+        stats = {"d_loss": loss.item(), "d_penalty": penalty.item(), "d_clipped": clipped.float().mean().item()}
         for name, part in parts.items():
             right = part > 0 if name == EXPERT else part < 0
             stats[ACCURACY + name] = right.float().mean().item()

@@ -9,65 +9,71 @@ from __future__ import annotations
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from giirl_core.processes.worker_process import ORPHAN_TIMEOUT_S, TICK_S, WorkerProcess
+from giirl_core.processes.worker_process import TICK_S, WorkerProcess
+from giirl_core.telemetry.series import SERVICE
 from giirl_core.weights import Weights
-from giirl_core.wire.transport import Keys
 from reward_service.service import RewardService, Scorer
 
 
 class RewardProcess(WorkerProcess):
     """One reward service. `run` blocks its thread until `stop`; other threads call the other methods."""
 
-    def __init__(self, config: str, keys: Keys | None) -> None:
-        super().__init__(config, keys)
+    KIND = SERVICE
+
+    def __init__(self, config: str, run: str, name: str, encrypted: bool) -> None:
         self._service: RewardService | None = None
-        self._serving = False
-        self._last_heard_s = time.monotonic()
+        super().__init__(config, run, name, encrypted)  # last, because it starts threads
 
     def addresses(self) -> tuple[str, str]:
         """The addresses of the metrics and of the socket for score requests."""
         host = self.host() if self._keys else "127.0.0.1"
         self._service = self._service or RewardService(self._scorer, host=host, keys=self._keys, metrics=self._metrics)
-        return self._metrics.serve(self._config.metrics.host), self._service.address
+        return self.metrics_address(), self._service.address
 
-    def run(self, weights: Weights) -> None:
-        """Serve until stopped. While `weights` are being loaded, requests get the reply that there are none yet."""
+    def run(self, weights: Weights, clients: tuple[str, ...]) -> None:
+        """Serve until stopped. While `weights` are being loaded, requests get the reply that there are none yet.
+
+        `clients` are the public keys of the actors, if connections are encrypted.
+        """
         service = self._service
         assert service is not None
-        self._last_heard_s, self._serving = time.monotonic(), True
+        self.allow(clients)
+        self.ping()
+        self._running = True
         try:
             with ThreadPoolExecutor(1) as loader:
                 loading = loader.submit(service.set_first_weights, weights)
-                service.serve(lambda: self._stopped.is_set() or self._orphaned or _failed(loading))
+                service.serve(lambda: self._stopped.is_set() or _failed(loading))
                 loading.result()
         finally:
-            self._service, self._serving = None, False
-        if self._orphaned:
-            self.leave()
+            self._service, self._running = None, False
 
-    def rejoin(self, weights: Weights) -> None:
+    def rejoin(self, weights: Weights, clients: tuple[str, ...]) -> None:
         """Work for a learner that was restarted. Returns when `run` does, or at once if it is not running."""
+        self.ping()
         service = self._service
-        if service is not None and self._serving:
-            self._last_heard_s = time.monotonic()
+        if service is not None and self._running:
+            self.allow(clients)
             service.set_weights(weights, allow_older=True)
-        while self._serving:
+        while self._running:
             time.sleep(TICK_S)
+
+    def allow(self, clients: tuple[str, ...]) -> None:
+        """Accept connections of actors with these public keys only."""
+        self.ping()
+        if self._service is not None and self._keys is not None:
+            self._service.allow([key.encode() for key in clients])
 
     def load(self, weights: Weights) -> None:
         """Use newer reward weights."""
-        self._last_heard_s = time.monotonic()
+        self.ping()
         if self._service is not None:
             self._service.set_weights(weights)
 
     def stop(self) -> None:
         """Make `run` return."""
+        self.ping()
         self._stopped.set()
-
-    @property
-    def _orphaned(self) -> bool:
-        """Whether the learner has been silent for too long."""
-        return time.monotonic() - self._last_heard_s > ORPHAN_TIMEOUT_S
 
     def _scorer(self, weights: Weights) -> Scorer:
         self._preload_thread.join()

@@ -57,7 +57,7 @@ class _Loaded:
 
 
 class RewardService:
-    """Runs in the thread that calls `serve`; `set_weights` and `set_first_weights` may be called from other threads."""
+    """Runs in the thread that calls `serve`; the other methods may be called from other threads."""
 
     def __init__(
         self,
@@ -79,6 +79,10 @@ class RewardService:
         self._refusals = 0
         self._router = Router(host, port, keys=keys)
         self.address = self._router.address
+
+    def allow(self, public_keys: Sequence[bytes]) -> None:
+        """Accept connections of clients with these public keys only. The service needs keys of its own."""
+        self._router.allow(public_keys)
 
     @property
     def version(self) -> int:
@@ -116,6 +120,7 @@ class RewardService:
             raise
         self._loaded = _Loaded(version=weights.version, digest=weights.digest, score=score)
         self._metrics.reward_version.set(weights.version)
+        self._metrics.health.ready()
 
     def serve(self, stop: Callable[[], bool]) -> None:
         """Reply to requests until `stop` returns True, then release the port."""
@@ -123,10 +128,12 @@ class RewardService:
             while not stop():
                 self.serve_once(TICK_S)
         finally:
+            self._metrics.health.not_ready("it has stopped serving")
             self._router.close()
 
     def serve_once(self, timeout_s: float) -> None:
         """Wait for requests, then reply to one batch."""
+        self._metrics.health.beat()
         if (refusals := self._router.refusals) > self._refusals:
             self._metrics.connections_refused.labels("scoring").inc(refusals - self._refusals)
             self._refusals = refusals

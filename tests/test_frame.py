@@ -56,7 +56,7 @@ SOLE_IMPORTER = {
     "matplotlib": "giirl/figures.py",
     "miniwob": "browser_farm/gym/adapter.py",
     "msgpack": "giirl_core/wire/messages.py",
-    "prometheus_client": "giirl_core/metrics.py",
+    "prometheus_client": "giirl_core/telemetry/prometheus.py",
     "ray": "giirl_core/processes/ray_platform.py",
     "selenium": "browser_farm/chrome/launcher.py",
     "websocket": "browser_farm/chrome/devtools.py",

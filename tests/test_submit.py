@@ -82,4 +82,4 @@ def test_a_dashboard_that_does_not_answer_is_one_line() -> None:
     assert done.returncode == 1
     assert done.stdout == ""
     (line,) = done.stderr.splitlines()
-    assert line.startswith(f"submit: no dashboard of Ray answers at RAY_ADDRESS={CLOSED}: ")
+    assert line.startswith(f"submit: no dashboard of Ray answers at {CLOSED}: ")

@@ -9,7 +9,7 @@ from concurrent.futures import Future, TimeoutError
 from threading import Thread
 from typing import Any
 
-from giirl_core.processes.supervision import ProcessDied
+from giirl_core.processes.supervision import Place, ProcessDied
 
 
 class ThreadCall:
@@ -38,25 +38,31 @@ class ThreadCall:
 class ThreadProcess:
     reattached = False
 
-    def __init__(self, kind: type[Any], values: tuple[Any, ...]) -> None:
-        self._kind, self._values = kind, values
-        self._object: Any = kind(*values)
+    def __init__(self, worker: Any) -> None:
+        self._worker = worker
+
+    def placed(self) -> bool:
+        return True
 
     def call(self, method: str, *values: Any) -> ThreadCall:
-        return ThreadCall(getattr(self._object, method), values)
+        return ThreadCall(getattr(self._worker, method), values)
 
-    def kill(self, *, restart: bool) -> None:
+    def kill(self) -> None:
         """A thread cannot be killed: it goes on, and another one takes its place."""
-        if restart:
-            self._object = self._kind(*self._values)
 
 
 class ThreadPlatform:
-    host = "127.0.0.1"
-    single_node = True
+    """With `single_node=False` processes behave as on a cluster: encrypted connections, temporary files."""
 
-    def start(self, kind: type[Any], name: str, *values: Any, cpus: int, threads: int = 0) -> ThreadProcess:
-        return ThreadProcess(kind, values)
+    host = node = "127.0.0.1"
+
+    def __init__(self, *, single_node: bool = True) -> None:
+        self.single_node = single_node
+
+    def start(
+        self, kind: type[Any], name: str, *values: Any, place: Place, threads: int = 0, detached: bool = True
+    ) -> ThreadProcess:
+        return ThreadProcess(kind(*values))
 
     def share(self, value: Any) -> Any:
         return value

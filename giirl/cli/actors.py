@@ -9,6 +9,7 @@ import click
 from giirl.cli.options import RUN
 from giirl.run.folder import RunFolder
 from giirl_core.config import MAX_ACTORS
+from giirl_core.files import is_locked
 from giirl_core.progress import Display
 
 
@@ -23,5 +24,8 @@ def actors(run: Path, count: int) -> None:
     folder, config = RunFolder.open(run)
     if config.runtime == "serial" or config.stream.policy_lag == 0:
         raise ValueError(f"{run} uses the serial runtime or lock-step: its number of actors is fixed")
+    if not is_locked(run):
+        over = "has ended" if folder.result.is_file() else "is not running"
+        raise ValueError(f"{run} {over}: it has no actors to change; to go on: giirl train --resume {run}")
     folder.write(folder.wanted, str(count))
     Display().say(f"{run}: {count} actors from now on")

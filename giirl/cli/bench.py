@@ -84,7 +84,7 @@ def training(actors: int, tabs: int, cases: tuple[str, ...], json_file: Path | N
 @JSON
 def scaling(actors: tuple[int, ...], delay: float, seeds: int, json_file: Path | None) -> None:
     """Time to 95 % on two tasks with 1, 2, 4 and 8 actors, on pages that respond slowly."""
-    from benchmarks.scaling import measure
+    from benchmarks.scale.actors import measure
 
     _report(measure(Display(), actors=actors or (1, 2, 4, 8), delay_s=delay, seeds=seeds), json_file)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import signal
 import sys
@@ -17,6 +18,7 @@ from rich.table import Column, Table
 from giirl.cli.actors import actors
 from giirl.cli.bench import bench
 from giirl.cli.demos import demos
+from giirl.cli.operate import clean, status, stop
 from giirl.cli.options import JSON, RUN, Place, place, save_and_show
 from giirl.cli.report import report
 from giirl.cli.reproduce import reproduce
@@ -47,7 +49,6 @@ EXTRAS = {  # optional package, by import name: the extra that installs it
     "torch": "train",
     "zmq": "train",
 }
-RESUMABLE = ("iterations", "checkpoint_every", "keep_checkpoints", "evaluate.", "metrics.")
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -76,6 +77,7 @@ def doctor(demos: Path | None) -> None:
 @OVERRIDES
 @click.option("--runtime", type=click.Choice(["serial", "local", "ray"]), help="Where actors run.  [default: local]")
 @click.option("--resume", type=Place(), help="Resume this run from its last checkpoint.")
+@click.option("--resume-or-start", is_flag=True, help="Resume the run in run=FOLDER, or start it: for jobs that retry.")
 @JSON
 @click.pass_context
 def train(
@@ -84,6 +86,7 @@ def train(
     overrides: tuple[str, ...],
     runtime: str | None,
     resume: Path | None,
+    resume_or_start: bool,
     json_file: Path | None,
 ) -> None:
     """Train, then evaluate: giirl train [CONFIG] [key=value ...].
@@ -91,11 +94,24 @@ def train(
     CONFIG is a TOML file; without it every setting has its default. Any setting can be given as key=value, for example
     seed=1 tasks='["click-button"]' policy.entropy=0.2 run=runs/mine.
     """
+    from giirl.operate import retry
+    from giirl.operate.stop import stop_requests
     from giirl.run.api import train
 
     display = Display()
     path, changes = _split(config, overrides, runtime)
-    if resume is not None:
+    if resume_or_start:
+        if resume is not None:
+            raise ValueError("--resume and --resume-or-start exclude each other: give one of them")
+        settings = load_config(path, changes)
+        world_of(settings).check(settings)
+        folder, checkpoint = context.with_resource(retry.resumed_or_started(settings))
+        if retry.is_finished(folder, settings, checkpoint):
+            display.say(f"{folder.path} is finished; its result:")
+            display.table(world_of(settings).table(json.loads(folder.result.read_bytes())))
+            return
+        display.say(f"resuming {folder.path} from {checkpoint.name}" if checkpoint else f"run folder {folder.path}")
+    elif resume is not None:
         folder, settings, checkpoint = context.with_resource(RunFolder.resumed(resume))
         settings = _resumed_config(folder, settings, path, changes)
         how = f"from {checkpoint.name}" if checkpoint else "from the beginning, as it has no checkpoint yet"
@@ -106,6 +122,7 @@ def train(
         folder = context.with_resource(RunFolder.started(settings, path.stem if path else "giirl"))
         display.say(f"run folder {folder.path}; all settings are in its {folder.config_file.name}")
         display.say(f"settings that differ from the defaults: {' '.join(changed(settings)) or 'none'}")
+    context.with_resource(stop_requests(folder))
     try:
         result = train(settings, folder, checkpoint, display)
     except Stopped:
@@ -130,6 +147,9 @@ def evaluate(run: Path, overrides: tuple[str, ...], json_file: Path | None) -> N
 
 giirl.add_command(actors)
 giirl.add_command(bench)
+giirl.add_command(clean)
+giirl.add_command(status)
+giirl.add_command(stop)
 giirl.add_command(demos)
 giirl.add_command(reproduce)
 giirl.add_command(report)
@@ -141,6 +161,8 @@ for study in commands():
 
 def _resumed_config(folder: RunFolder, config: Config, path: Path | None, changes: list[str]) -> Config:
     """The config of a run to resume. Only its length and its evaluation may change; the change is then saved."""
+    from giirl.operate.retry import RESUMABLE
+
     fixed = [key for key in (change.partition("=")[0] for change in changes) if not key.startswith(RESUMABLE)]
     if path is not None or fixed:
         what = f"CONFIG {path}" if path is not None else fixed[0]

@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import closing
 from pathlib import Path
 
-from actors.agents import ExpertAgent, RandomAgent
-from actors.browser import open_browser
-from actors.rollouts import play_pages
+from actors.player import AgentSpec, OpenPlayer, open_browser_player
 from browser_farm.human.recording_files import find_recordings
 from browser_farm.human.recordings import ImportReport, import_recordings
 from browser_farm.mixed import expert_of
@@ -24,7 +21,9 @@ from giirl_core.types import Episode, Purpose
 from giirl_core.wire.messages import read_sound_episodes
 
 
-def collect_demonstrations(config: Config, metrics: Metrics, display: Display) -> list[Episode]:
+def collect_demonstrations(
+    config: Config, metrics: Metrics, display: Display, open_player: OpenPlayer = open_browser_player
+) -> list[Episode]:
     """The demonstrations of a run: for each task the first `demos.per_task` successes whose goal is not held out.
 
     `demos.noise_fraction` of them are then replaced by random episodes. The list is empty for an algorithm that does
@@ -32,15 +31,17 @@ def collect_demonstrations(config: Config, metrics: Metrics, display: Display) -
     """
     if not ALGORITHMS[config.algorithm].needs_demonstrations and not config.policy.bc_warmup_updates:
         return []
-    episodes, origin = _read_source(config, metrics, display)
+    episodes, origin = _read_source(config, metrics, display, open_player)
     kept = select(episodes, origin, config, display)
-    return add_noise(kept, config, metrics, display) if config.demos.noise_fraction else kept
+    return add_noise(kept, config, metrics, display, open_player) if config.demos.noise_fraction else kept
 
 
-def _read_source(config: Config, metrics: Metrics, display: Display) -> tuple[list[Episode], str]:
+def _read_source(
+    config: Config, metrics: Metrics, display: Display, open_player: OpenPlayer
+) -> tuple[list[Episode], str]:
     """All episodes of the config's source, and the name of the source for errors."""
     if config.demos.source == "scripted":
-        return make(config, metrics, display), "the scripted expert"
+        return make(config, metrics, display, open_player), "the scripted expert"
     if not config.demos.path:
         raise ValueError(f"demos.source is {config.demos.source!r} and demos.path is empty: wanted a file or folder")
     path = Path(config.demos.path)
@@ -60,16 +61,18 @@ def left_out(unreadable: Sequence[str]) -> str:
     return f"{len(unreadable)} cannot be read, the first is {unreadable[0]}"
 
 
-def make(config: Config, metrics: Metrics, display: Display) -> list[Episode]:
+def make(
+    config: Config, metrics: Metrics, display: Display, open_player: OpenPlayer = open_browser_player
+) -> list[Episode]:
     """Successful episodes of the scripted experts, on pages that training and evaluation never use."""
     for task in config.tasks:
         expert_of(task)  # a task without an expert is an error before a browser starts
     pages = config.demos.per_task
     with (
-        closing(open_browser(config, metrics)) as browser,
+        open_player(config, metrics) as player,
         display.job("making demonstrations", pages * len(config.tasks)) as job,
     ):
-        played = play_pages(config, browser, ExpertAgent(expert_of), Purpose.DEMONSTRATE, pages, metrics, job=job)
+        played = player.play(AgentSpec(kind="expert"), Purpose.DEMONSTRATE, pages, job=job)
     counts = Counter(episode.trajectory.task for episode in played)
     rows = {task: {"episodes": counts[task], "missing": pages - counts[task]} for task in config.tasks}
     if missing := missing_pages(rows):
@@ -91,7 +94,9 @@ def import_folder(
         return import_recordings(path, tasks=wanted, limit=limit, collections=collections, on_file=job.advance)
 
 
-def add_noise(kept: list[Episode], config: Config, metrics: Metrics, display: Display) -> list[Episode]:
+def add_noise(
+    kept: list[Episode], config: Config, metrics: Metrics, display: Display, open_player: OpenPlayer
+) -> list[Episode]:
     """Replace the last `demos.noise_fraction` of each task by episodes of the random policy on other pages.
 
     Their outcomes do not matter. Enough pages are played that some remain when goals are held out.
@@ -102,11 +107,11 @@ def add_noise(kept: list[Episode], config: Config, metrics: Metrics, display: Di
     spare = 2 if config.held_out_goals else 1
     pages = math.ceil(max(noisy.values()) / (1 - config.held_out_goals) * spare)
     with (
-        closing(open_browser(config, metrics)) as browser,
+        open_player(config, metrics) as player,
         display.job("making noisy demonstrations", pages * len(config.tasks)) as job,
     ):
-        purpose, first = Purpose.DEMONSTRATE, config.demos.per_task
-        played = play_pages(config, browser, RandomAgent(), purpose, pages, metrics, first=first, job=job)
+        first = config.demos.per_task
+        played = player.play(AgentSpec(kind="random"), Purpose.DEMONSTRATE, pages, first=first, job=job)
     played = [e for e in played if not is_held_out(e.trajectory.goal, config.held_out_goals)]
     mixed: list[Episode] = []
     for task, count in noisy.items():

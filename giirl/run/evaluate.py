@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import closing
 from typing import Any
 
 from rich.table import Table
 
-from actors.agents import PolicyAgent, RandomAgent
-from actors.browser import measured_tasks, open_browser
-from actors.rollouts import play_pages
+from actors.browser import measured_tasks
+from actors.player import AgentSpec, OpenPlayer, open_browser_player
 from giirl.statistics import Score, missing_pages, percent
 from giirl_core.config import Config
 from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
-from giirl_core.nets.language import load_vectors
-from giirl_core.nets.parameters import load_net
-from giirl_core.nets.reward import build_policy
 from giirl_core.progress import Display
 from giirl_core.types import Episode, Purpose
 from giirl_core.weights import Weights
@@ -25,7 +20,13 @@ from giirl_core.weights import Weights
 THESIS = {"click-test": 1.00, "click-test-2": 1.00, "click-button": 0.99, "enter-text": 0.94}  # table 4.1
 
 
-def evaluate(config: Config, policy: Weights, metrics: Metrics, display: Display) -> dict[str, Any]:
+def evaluate(
+    config: Config,
+    policy: Weights,
+    metrics: Metrics,
+    display: Display,
+    open_player: OpenPlayer = open_browser_player,
+) -> dict[str, Any]:
     """Success of the greedy policy and of the random baseline: the `tasks` of a result, one row per task.
 
     The pages have seeds that training, demonstrations and tuning never use. An episode that a broken browser or page
@@ -37,17 +38,13 @@ def evaluate(config: Config, policy: Weights, metrics: Metrics, display: Display
         display.say(f"not evaluated, since the task file has no [success]: {', '.join(unmeasured)}")
     if not measured:
         return {}
-    net = build_policy(config)
-    load_net(net, policy)
-    greedy = PolicyAgent(net, load_vectors(config.net.vectors), version=policy.version, greedy=True)
+    greedy, random = AgentSpec(kind="greedy", policy=policy), AgentSpec(kind="random")
     pages, random_pages, tasks = config.evaluate.episodes, config.evaluate.random_episodes, len(measured)
-    with closing(open_browser(config, metrics)) as browser:
+    with open_player(config, metrics) as player:
         with display.job("evaluating", pages * tasks) as job:
-            played = play_pages(config, browser, greedy, Purpose.EVALUATE, pages, metrics, tasks=measured, job=job)
+            played = player.play(greedy, Purpose.EVALUATE, pages, tasks=measured, job=job)
         with display.job("random baseline", random_pages * tasks) as job:
-            at_random = play_pages(
-                config, browser, RandomAgent(), Purpose.RANDOM, random_pages, metrics, tasks=measured, job=job
-            )
+            at_random = player.play(random, Purpose.RANDOM, random_pages, tasks=measured, job=job)
     return {task: _row(config, task, played, at_random) for task in measured}
 
 

@@ -41,15 +41,10 @@ class RunFolder:
         self.identity_file = path / "identity"
         self.incarnations = path / "incarnations"
         self.actors = path / "actors"
-        self._files = (  # all that a run writes before its first checkpoint, without the config
-            self.demonstrations,
-            self.curve,
-            self.targets,
-            self.keys,
-            self.wanted,
-            self.identity_file,
-            self.incarnations,
-        )
+        # What a run writes before its first checkpoint, without the config. Its identity stays when it begins again:
+        # on a cluster, processes of the try before may still be there.
+        self._identity_files = (self.keys, self.identity_file, self.incarnations)
+        self._files = (self.demonstrations, self.curve, self.targets, self.wanted)
         self._held = False
         self._begun_with = ""  # the content of the config, if this process began the run
 
@@ -121,7 +116,7 @@ class RunFolder:
             return
         for path in self._files:
             path.unlink(missing_ok=True)
-        for path in (self.config_file, *self._files):
+        for path in (self.config_file, *self._files, *self._identity_files):
             for temporary in self.path.glob(f".{path.name}.*"):  # of a write that was cut off
                 temporary.unlink()
         for folder in (self.checkpoints, self.actors):
@@ -133,7 +128,8 @@ class RunFolder:
         if self._begun_with and not self.saved:
             with suppress(OSError):  # what stays does not hinder the next start
                 self.clear()
-                self.config_file.unlink(missing_ok=True)
+                for path in (self.config_file, *self._identity_files):
+                    path.unlink(missing_ok=True)
                 self.path.rmdir()
 
     def latest_checkpoint(self) -> Path:

@@ -1,10 +1,11 @@
-"""The serial runtime: everything in one thread, without Ray. Same seed, same bytes."""
+"""What a runtime is, and the serial one: everything in one thread, without Ray. Same seed, same bytes."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
 from actors.agents import PolicyAgent
 from actors.browser import open_browser
@@ -17,8 +18,43 @@ from giirl_core.metrics import Metrics
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.parameters import load_net
 from giirl_core.nets.reward import build_policy, build_reward
+from giirl_core.telemetry.targets import node_address
 from giirl_core.types import Episode, Purpose
 from giirl_core.weights import Weights
+
+
+class Runtime(Protocol):
+    """Plays and scores episodes: in this thread, in processes on this machine, or in a Ray cluster."""
+
+    node: str  # address of this machine, as other machines reach it
+
+    def publish(self, policy: Weights, reward: Weights) -> None:
+        """Use these weights from now on. The first call starts the actors."""
+
+    def take(self, episodes: int) -> list[Episode]:
+        """Wait for at least `episodes` new episodes with rewards. An empty list means that the run should stop."""
+
+    def stream(self) -> StreamState:
+        """The number of stale episodes and the idle fraction of the actors."""
+        ...
+
+    def addresses(self) -> dict[str, str]:
+        """Metrics addresses "host:port" of the other processes, by name."""
+
+    def save(self, folder: Path) -> None:
+        """Write the runtime's part of a checkpoint into `folder`."""
+
+    def committed(self) -> None:
+        """Called when the checkpoint of the last `save` is complete on disk."""
+
+    def drain(self) -> bool:
+        """Stop playing and collect the finished episodes. Returns whether there is anything new to save."""
+
+    def forget(self) -> None:
+        """After `drain` and `save`: delete temporary files that a resumed run would need if nothing had been saved."""
+
+    def close(self) -> None:
+        """End all processes and close the browser."""
 
 
 class SerialRuntime:
@@ -26,6 +62,7 @@ class SerialRuntime:
 
     def __init__(self, config: Config, metrics: Metrics, resume: Path | None) -> None:
         self._config, self._metrics = config, metrics
+        self.node = node_address()
         self._browser = open_browser(config, metrics)
         self._agent = PolicyAgent(
             build_policy(config), load_vectors(config.net.vectors), sampled_actions=config.sampled_actions
@@ -81,8 +118,12 @@ class SerialRuntime:
     def committed(self) -> None:
         """Nothing to do: no episode is in flight between two learner steps."""
 
-    def drain(self) -> None:
+    def drain(self) -> bool:
         """Nothing to do: there are no other processes."""
+        return False
+
+    def forget(self) -> None:
+        """Nothing to do: there are no temporary files."""
 
     def close(self) -> None:
         self._browser.close()

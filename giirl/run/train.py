@@ -7,65 +7,40 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from threading import Event
-from typing import Any, Protocol
+from typing import Any
 
-import numpy as np
 import torch
 
 from actors.browser import measured_tasks
+from actors.pool import player_for
 from giirl.run.demonstrations import collect_demonstrations
 from giirl.run.evaluate import evaluate
 from giirl.run.folder import RunFolder
-from giirl.run.serial import SerialRuntime
+from giirl.run.serial import Runtime, SerialRuntime
 from giirl.run.workers import WorkersRuntime
 from giirl.signals import Stopped, raise_if, stopping
 from giirl.statistics import WINDOW, lowest_window
-from giirl.throughput import StreamState, Throughput, format_rates
+from giirl.throughput import Throughput, format_rates
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.config_file import dump_config
-from giirl_core.metrics import Metrics, write_targets
+from giirl_core.metrics import Metrics
+from giirl_core.processes.open_files import raise_open_files
 from giirl_core.progress import Display, Job
+from giirl_core.telemetry.logs import configure_logs
+from giirl_core.telemetry.targets import clear_dead_targets, reachable, write_targets
 from giirl_core.types import Episode, Trajectory
 from giirl_core.weights import Weights
 from learner.algorithms import LOOPS
 from learner.checkpoint import save_checkpoint
-from learner.devices import learner_threads
+from learner.data import with_env_reward
+from learner.devices import device_memory_bytes, learner_device, learner_threads
 from learner.learner import Learner
 
 COUNTS = "counts.json"  # in a checkpoint
-
-
-class Runtime(Protocol):
-    """Plays and scores episodes: in this thread, in processes on this machine, or in a Ray cluster."""
-
-    def publish(self, policy: Weights, reward: Weights) -> None:
-        """Use these weights from now on. The first call starts the actors."""
-
-    def take(self, episodes: int) -> list[Episode]:
-        """Wait for at least `episodes` new episodes with rewards. An empty list means that the run should stop."""
-
-    def stream(self) -> StreamState:
-        """The number of stale episodes and the idle fraction of the actors."""
-        ...
-
-    def addresses(self) -> dict[str, str]:
-        """Metrics addresses "host:port" of the other processes, by name."""
-
-    def save(self, folder: Path) -> None:
-        """Write the runtime's part of a checkpoint into `folder`."""
-
-    def committed(self) -> None:
-        """Called when the checkpoint of the last `save` is complete on disk."""
-
-    def drain(self) -> None:
-        """Stop playing and collect the finished episodes."""
-
-    def close(self) -> None:
-        """End all processes and close the browser."""
+LONG_ITERATION_S = 1.5  # Ray kills a job 3 s after it was asked to stop
 
 
 def train(config: Config, folder: RunFolder, resume: Path | None, display: Display) -> dict[str, Any]:
@@ -74,12 +49,18 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
     Raises Stopped after Ctrl-C, SIGTERM or SIGHUP, with a checkpoint saved.
     """
     since_s = time.monotonic()
-    metrics, stop = Metrics(), Event()
+    metrics, stop = Metrics("learner"), Event()
     torch.set_num_threads(learner_threads(config))
+    configure_logs(config.log, folder.identity, "learner")
+    if config.runtime != "serial":
+        raise_open_files(folder.wanted_actors() or config.actors.count)
     own = metrics.serve(config.metrics.host, config.metrics.port)
+    open_player = player_for(config, folder.identity)
     try:
+        clear_dead_targets(folder.path.parent)
         if resume is None:
-            folder.save_demonstrations(collect_demonstrations(config, metrics, display))
+            metrics.enter("demonstrations")
+            folder.save_demonstrations(collect_demonstrations(config, metrics, display, open_player))
         demonstrations = [episode.trajectory for episode in folder.load_demonstrations()]
         learner = Learner(config, demonstrations, metrics)
         if resume is not None:
@@ -92,7 +73,8 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
         with stopping(stop):
             session.learn(resume)
         policy, _ = learner.weights()
-        tasks = evaluate(config, policy, metrics, display)
+        metrics.enter("evaluation")
+        tasks = evaluate(config, policy, metrics, display, open_player)
     finally:
         metrics.close()
     return {
@@ -140,37 +122,42 @@ class Session:
         self._targets: dict[str, str] = {}
         self._recent = {task: deque[int](maxlen=WINDOW) for task in measured_tasks(config)}
         self.throughput = Throughput()
-        self._since_s = time.monotonic()
+        self._since_s = self._taken_s = time.monotonic()
         self.seconds_before = 0.0  # of the sessions before this one was resumed
         self.env_steps = 0  # in the episodes that the learner took
         self.episodes = 0
 
     def learn(self, resume: Path | None) -> None:
         """Train from the learner's version to `iterations`, and return when the runtime is closed."""
-        config, learner = self._config, self._learner
+        config, learner, metrics = self._config, self._learner, self._metrics
         self._folder.cut_curve(learner.version)
+        device = learner_device(config).type
+        metrics.begin(self._folder.identity, config.algorithm, device, learner.version, config.iterations)
         if resume is not None:
             counts = json.loads((resume / COUNTS).read_bytes())
             self.env_steps, self.episodes = counts["env_steps"], counts["episodes"]
             self.seconds_before = counts["seconds"]
+            metrics.checkpoint_time.set((resume / COUNTS).stat().st_mtime)
         if learner.version >= config.iterations:
             return
         with self._display.busy(f"starting the {config.runtime} runtime"):
             save = self._save_if_consistent
-            self._runtime = open_runtime(config, self._folder, self._metrics, self._stop, resume, save)
+            self._runtime = open_runtime(config, self._folder, metrics, self._stop, resume, save)
+        self._own_address = reachable(self._own_address, self._runtime.node)
         try:
             with self._display.busy("starting actors and reward service"):
                 self._runtime.publish(*learner.weights())
             self._update_targets()
             if resume is None:
                 self._save()  # now the run can be resumed
-            self._display.say(f"success: over the last {WINDOW} episodes of {', '.join(config.tasks)}")
+            metrics.enter("training")
             with self._display.job("training", config.iterations, learner.version) as self._job:
                 LOOPS[config.algorithm](config, learner, self, self._steps(), self._observe)
             raise_if(self._stop)
+            self._end()
         except Stopped:
-            self._runtime.drain()
-            self._save()
+            self._save()  # first: whoever asked to stop may kill this process soon
+            self._end()
             raise
         except RuntimeError as error:
             with suppress(OSError):  # an older checkpoint is there
@@ -179,7 +166,7 @@ class Session:
         finally:
             self._runtime.close()
             with suppress(OSError):  # there is no process to scrape any more, whether the file says so or not
-                write_targets(self._folder.targets, self._folder.path.name, {})
+                write_targets(self._folder.targets, [])
 
     def take(self, episodes: int) -> list[Trajectory]:
         """Rollouts for the training loop. Their outcomes stay here and are only reported."""
@@ -188,7 +175,7 @@ class Session:
             self._rollouts = self._runtime.take(episodes)
         if not self._rollouts:
             raise Stopped
-        self._consistent = False
+        self._consistent, self._taken_s = False, time.monotonic()
         if ALGORITHMS[self._config.algorithm].reward == "environment":
             return [with_env_reward(episode) for episode in self._rollouts]
         return [episode.trajectory for episode in self._rollouts]
@@ -212,8 +199,8 @@ class Session:
         assert self._runtime is not None
         assert self._job is not None
         self._learner.version, self._consistent = step + 1, True
-        self._metrics.policy_version.set(step + 1)
-        self._metrics.reward_version.set(step + 1)
+        # A stop in a long iteration may not find the time to wait for its end, so the last one has to be saved.
+        long = time.monotonic() - self._taken_s > LONG_ITERATION_S
         self.env_steps += sum(len(episode.trajectory) for episode in self._rollouts)
         self.episodes += len(self._rollouts)
         won = [(episode.trajectory.task, int(episode.outcome.success)) for episode in self._rollouts]
@@ -224,9 +211,10 @@ class Session:
         numbers = {k: round(v, 4) for k, v in stats.items()}
         self._folder.append_curve({**self._counts(), "outcomes": outcomes, **numbers, "flow": rates})
         self._runtime.publish(*self._learner.weights())
-        self._job.advance(1, f"{self._recent_success(outcomes)}; {format_rates(rates)}")
+        self._metrics.end_iteration(step + 1, numbers, rates, device_memory_bytes())
+        self._job.advance(1, f"{self._recent_success(outcomes)}; {format_rates(rates, self._metrics.dropped())}")
         self._update_targets()
-        if (step + 1) % self._config.checkpoint_every == 0 or step + 1 == self._config.iterations:
+        if long or (step + 1) % self._config.checkpoint_every == 0 or step + 1 == self._config.iterations:
             self._save()
 
     def _counts(self) -> dict[str, float]:
@@ -238,8 +226,10 @@ class Session:
         """Success of the exploring policy over the last WINDOW episodes, task by task."""
         for task, some in outcomes.items():
             self._recent[task].extend(some)
-        rates = " ".join(f"{100 * sum(some) / max(len(some), 1):.0f}" for some in self._recent.values())
-        return f"success {rates} %"
+        success = {task: sum(some) / len(some) for task, some in self._recent.items() if some}
+        for task, share in success.items():
+            self._metrics.success.labels(task).set(share)
+        return "success " + ", ".join(f"{task} {100 * share:.0f}" for task, share in success.items()) + " %"
 
     def _save(self) -> None:
         runtime = self._runtime
@@ -251,8 +241,17 @@ class Session:
             (partial / COUNTS).write_text(json.dumps(self._counts()), encoding="utf-8")
             (partial / self._folder.config_file.name).write_text(dump_config(self._config), encoding="utf-8")
 
-        save_checkpoint(self._folder.checkpoints, self._learner.version, write, keep=self._config.keep_checkpoints)
+        with self._metrics.checkpoint_duration.time():
+            save_checkpoint(self._folder.checkpoints, self._learner.version, write, keep=self._config.keep_checkpoints)
+        self._metrics.checkpoint_time.set_to_current_time()
         runtime.committed()
+
+    def _end(self) -> None:
+        """Collect what the actors have finished, and save it."""
+        assert self._runtime is not None
+        if self._runtime.drain():
+            self._save()
+            self._runtime.forget()
 
     def _save_if_consistent(self) -> None:
         """Save while waiting for rollouts, unless that would lose some."""
@@ -264,7 +263,7 @@ class Session:
         assert self._runtime is not None
         targets = {"learner": self._own_address, **self._runtime.addresses()}
         if targets != self._targets:
-            write_targets(self._folder.targets, self._folder.path.name, targets)
+            write_targets(self._folder.targets, self._metrics.announce(self._folder.identity, targets))
             for name in targets.keys() - self._targets.keys():
                 self._display.say(f"metrics of {name}: http://{targets[name]}/metrics")
             self._targets = targets
@@ -276,13 +275,6 @@ def reward_of_run(path: Path) -> Weights:
     if not ALGORITHMS[config.algorithm].has_learned_reward:
         raise ValueError(f"{path} learned no reward: its algorithm is {config.algorithm!r}, wanted giirl or frozen")
     return folder.weights(folder.latest_checkpoint(), "reward")
-
-
-def with_env_reward(episode: Episode) -> Trajectory:
-    """The trajectory with the sparse reward of the page, for the baseline that is trained on it."""
-    rewards = np.zeros(len(episode.trajectory), dtype=np.float32)
-    rewards[-1] = episode.outcome.raw_reward
-    return replace(episode.trajectory, rewards=rewards)
 
 
 def open_runtime(

@@ -20,7 +20,7 @@ from giirl_core.metrics import Metrics
 from giirl_core.processes.supervision import Platform
 from giirl_core.types import Episode
 from giirl_core.weights import Weights
-from giirl_core.wire.transport import Keys
+from giirl_core.wire.key_file import load_or_create_keys
 from learner.stream.flow import IngestLimits
 from learner.stream.ingest import Ingest
 from learner.stream.snapshot import IngestSnapshot
@@ -42,11 +42,12 @@ class WorkersRuntime:
         save: Callable[[], None],
     ) -> None:
         self._config, self._platform, self._stop, self._save_now = config, platform, stop, save
+        self.node, self._health = platform.node, metrics.health
         self._version = 0
         self._snapshot = IngestSnapshot.load(resume) if resume else IngestSnapshot()
         self._taken: int = json.loads((resume / RUNTIME_FILE).read_bytes())["taken"] if resume else 0
         # Connections beyond this machine are encrypted.
-        keys = None if platform.single_node else Keys.load_or_create(folder.keys)
+        keys = None if platform.single_node else load_or_create_keys(folder.keys)
         self._ingest = Ingest(
             folder.identity,
             lambda: self._version,
@@ -67,7 +68,7 @@ class WorkersRuntime:
             folder,
             platform,
             self._ingest,
-            keys,
+            not platform.single_node,
             metrics,
             incarnation=folder.reserve_incarnations(above=known),
             episodes_taken=lambda: self._taken,
@@ -83,14 +84,17 @@ class WorkersRuntime:
         """The next `episodes` that the actors finished; an empty list when the run should stop.
 
         In lock-step it is a few more, so that there are equally many of every task. RuntimeError when too few come
-        within `stream.take_timeout_s`.
+        within `stream.take_timeout_s`; the time in which no node has room for an actor does not count.
         """
         if self._config.stream.policy_lag == 0:
             episodes = self._config.quota * len(self._config.tasks)
         timeout_s = self._config.stream.take_timeout_s
         deadline_s = time.monotonic() + timeout_s
         while not self._stop.is_set():
+            self._health.beat()
             self._fleet.poll()
+            if self._fleet.waits_for_place:
+                deadline_s = time.monotonic() + timeout_s
             if self._ingest.wants_commit:
                 self._save_now()
             try:
@@ -99,7 +103,7 @@ class WorkersRuntime:
                 if time.monotonic() > deadline_s:
                     raise RuntimeError(
                         f"fewer than {episodes} episodes came within {timeout_s:.0f} s (stream.take_timeout_s): "
-                        f"{error}{self._fleet.describe_trouble()}"
+                        f"{str(error).partition(': ')[2]}{self._fleet.describe_trouble()}"
                     ) from None
             else:
                 self._taken += len(taken)
@@ -108,7 +112,8 @@ class WorkersRuntime:
 
     def stream(self) -> StreamState:
         """How many episodes were dropped as stale, and how much of their time the actors' tabs are idle."""
-        return StreamState(stale=self._ingest.stale - self._stale_before, actors_idle=self._ingest.idle_share)
+        ingest = self._ingest
+        return StreamState(stale=ingest.stale - self._stale_before, queued=ingest.queued, actors_idle=ingest.idle_share)
 
     def addresses(self) -> dict[str, str]:
         """The metrics address of each process that is up, by its name."""
@@ -124,9 +129,14 @@ class WorkersRuntime:
         """The last `save` is on the disk: actors may delete the episodes that it covers."""
         self._ingest.commit(self._snapshot)
 
-    def drain(self) -> None:
+    def forget(self) -> None:
+        """The last `save` covers everything that was played: delete what only another session would need."""
+        self._fleet.forget()
+
+    def drain(self) -> bool:
         """Let the actors send their finished episodes and end."""
         self._fleet.drain()
+        return True
 
     def close(self) -> None:
         """End all processes; those that do not end in time are killed."""

@@ -75,6 +75,8 @@ class Config:
     """Seed of the nets, of all sampling and of the pages."""
     runtime: Literal["serial", "local", "ray"] = "local"
     """Everything in one thread, Ray processes on this machine, or Ray processes on a cluster."""
+    log: Literal["text", "json"] = "text"
+    """Warnings as lines of text, or as one JSON object each."""
     browser: Literal["chrome", "fake"] = "chrome"
     """Real Chrome, or the fake browser of the tests, which plays a few tasks."""
     algorithm: Algorithm = "giirl"

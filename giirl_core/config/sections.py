@@ -17,6 +17,7 @@ STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstring
 MAX_ACTORS = 1024  # the index of an actor is part of its page seeds
 
 Positive = Annotated[int, Field(ge=1)]
+Port = Annotated[int, Field(ge=0, le=65535)]
 Seconds = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Weight = Annotated[float, Field(ge=0)]
@@ -67,6 +68,18 @@ class ActorConfig:
     """Deadline of one request to a reward service. After a second try the learner computes the rewards. [s]"""
     heartbeat_timeout_s: Seconds = 60.0
     """An actor that sends nothing for this long is replaced. [s]"""
+    cpus: Weight = 1.0
+    """Cores that an actor asks for on a cluster; `local` asks for nothing. [cores]"""
+    memory_mb: Weight = 1000.0
+    """Memory that an actor asks for on a cluster. 0 asks for none. [MB]"""
+    chrome: Weight = 0.0
+    """Units of the resource `chrome` that an actor asks for. A node of a cluster offers some with
+    `ray start --resources='{"chrome": 8}'`; where no node does, leave it at 0. [units]"""
+    place_timeout_s: Seconds = 24 * 3600.0
+    """An actor or reward service for which no node of a cluster has room for this long is given up. [s]"""
+    orphan_timeout_s: Annotated[float, Field(ge=10)] = 300.0
+    """An actor or reward service that hears nothing of a learner for this long ends itself. A run that is resumed
+    before goes on with it. [s]"""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -74,7 +87,12 @@ class ScoringConfig:
     """The reward service, which computes rewards for the actors."""
 
     replicas: Annotated[int, Field(ge=1, le=64)] = 1
-    """Number of reward services. An actor asks the least loaded one. [processes]"""
+    """Number of reward services. An actor asks the least loaded one. On a cluster they are on different nodes where
+    there are enough. [processes]"""
+    cpus: Weight = 0.0
+    """Cores that a reward service asks for on a cluster. [cores]"""
+    memory_mb: Weight = 0.0
+    """Memory that a reward service asks for on a cluster. 0 asks for none. [MB]"""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -107,6 +125,8 @@ class MetricsConfig:
     """The Prometheus endpoint of each process."""
 
     host: str = "127.0.0.1"
-    """Address that every process listens on."""
-    port: Annotated[int, Field(ge=0, le=65535)] = 0
-    """Port of the learner; 0 takes any free one. The other processes always take a free one."""
+    """Address that every process listens on. 0.0.0.0 and :: are all addresses of its machine."""
+    port: Port = 0
+    """Port of the learner; 0 takes any free one."""
+    worker_port: Port = 0
+    """Actors and reward services take the first free port from here on; 0 takes any free one."""

@@ -1,13 +1,14 @@
 """Supervises worker processes: starts them, restarts them with backoff, kills those that hang, quarantines crash loops.
 
-    starting --> started --(backoff)--> running --> exited --> starting ...
-        |                                  |
-        |                                  +--> hung: killed, and the platform starts a replacement
-        +--> not started in time: killed, and the platform starts a replacement
+    waiting for a place --> starting --> running --> exited --(backoff)--> waiting for a place ...
+        |                      |            |
+        |                      |            +--> hung: killed
+        |                      +--> not started in time: killed
+        +--> no place before the deadline: given up
 
-A platform (see `Platform`) places the processes. After MAX_CRASHES crashes in a row a process is quarantined: it is not
-restarted any more. Every exit counts as a crash. A stable run (STABLE_RUN_S or longer, with a heartbeat) resets the
-count, so that its exit is the first crash of a new row.
+A platform (see `Platform`) places the processes. Waiting for a place is no crash: it may take hours. After MAX_CRASHES
+crashes in a row a process is quarantined: it is not restarted any more. Every exit counts as a crash. A stable run
+(STABLE_RUN_S or longer, with a heartbeat) resets the count, so that its exit is the first crash of a new row.
 """
 
 from __future__ import annotations
@@ -15,13 +16,15 @@ from __future__ import annotations
 import logging
 import random
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from giirl_core.metrics import Metrics
+from giirl_core.telemetry.series import WorkerState
 
 LOG = logging.getLogger(__name__)
-START_TIMEOUT_S = 120.0  # to place and start a process
+START_TIMEOUT_S = 120.0  # to start a process that has a place
 MAX_CRASHES = 5  # in a row, then the process is quarantined
 STABLE_RUN_S = 30.0  # a run of this length, with a heartbeat, resets the count of crashes
 BACKOFF_S = 0.05  # before the first restart; four times as long after every further crash
@@ -30,6 +33,20 @@ BACKOFF_MAX_S = 5.0
 
 class ProcessDied(RuntimeError):
     """A process exited during a call, or did not answer it in time."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """What a process needs of the node that it runs on."""
+
+    cpus: float = 0.0  # cores
+    memory_bytes: int = 0
+    resources: Mapping[str, float] = field(default_factory=dict)  # custom ones, such as "chrome"
+    apart: bool = False  # on another node than the processes of the same kind, if there is one
+
+    def __str__(self) -> str:
+        memory = [f"{self.memory_bytes / 1e6:g} MB of memory"] if self.memory_bytes else []
+        return ", ".join([f"{self.cpus:g} CPU", *memory, *(f"{n:g} {name}" for name, n in self.resources.items())])
 
 
 class Call(Protocol):
@@ -41,51 +58,65 @@ class Call(Protocol):
 
 
 class Process(Protocol):
-    """An object in another process. The platform restarts the process when it dies."""
+    """An object in another process. It is never restarted: a dead or killed one is replaced by a new one."""
 
-    reattached: bool  # the process was already running, started by an earlier learner
+    reattached: bool  # the process was already there, started by an earlier learner
+
+    def placed(self) -> bool: ...  # False while no node has room for it
 
     def call(self, method: str, *values: Any) -> Call: ...
 
-    def kill(self, *, restart: bool) -> None: ...
+    def kill(self) -> None: ...
 
 
 class Platform(Protocol):
     """Starts processes, on this machine or in a cluster."""
 
     host: str  # address of this process, as the started processes see it
+    node: str  # address of this machine, as other machines see it
     single_node: bool  # all processes run on this machine and end with this process
 
-    def start(self, kind: type[Any], name: str, *values: Any, cpus: int, threads: int = ...) -> Process: ...
+    # A process that is not `detached` ends with this one, also on a cluster.
+    def start(
+        self, kind: type[Any], name: str, *values: Any, place: Place, threads: int = ..., detached: bool = ...
+    ) -> Process: ...
 
     def share(self, value: Any) -> Any: ...  # returns a handle that many calls can carry cheaply
 
-    def resources(self) -> str: ...
+    def resources(self) -> str: ...  # what is free of what there is, for a message
 
     def close(self) -> None: ...
 
 
 class SupervisedProcess:
-    """One worker process and its `run` call, which should not return; when it does, the process is restarted.
+    """One worker process and its `run` call, which should not return; when it does, another process takes its place.
 
-    `start_run(process, restarts)` makes the `run` call; it is called again after every restart. The owner calls `poll`
+    `start` places a process, and `start_run(process, addresses)` makes its `run` call. The owner calls `poll`
     regularly. Nothing here blocks.
     """
 
     def __init__(
-        self, name: str, process: Process, start_run: Callable[[Process, int], Call], metrics: Metrics
+        self,
+        name: str,
+        start: Callable[[], Process],
+        start_run: Callable[[Process, tuple[str, str]], Call],
+        metrics: Metrics,
+        *,
+        place_timeout_s: float = float("inf"),
     ) -> None:
-        self.name, self.process, self._start_run, self._metrics = name, process, start_run, metrics
+        self.name, self._start, self._start_run, self._metrics = name, start, start_run, metrics
+        self._place_timeout_s = place_timeout_s
         self.kind = name.rpartition("-")[0]
         self.restarts, self._crashes = 0, 0  # _crashes: in a row
         self.quarantine_reason = ""
         self.last_error = "it has not started yet"
-        self.since_s = time.monotonic()  # start of the current state: starting or running
         self.running: Call | None = None  # the `run` call
         self.stopping = False  # it was asked to exit
         self.heartbeat_received = True  # during this run; set by the owner if the process sends heartbeats
         self._next_weights: Any = None  # not sent yet: the process is still loading earlier weights
-        self._enter_starting(0.0)
+        self._backoff_end_s = 0.0
+        self._addresses_call: Call | None = None  # None: there is no process, only the wait for the next one
+        self._launch()
 
     @property
     def quarantined(self) -> bool:
@@ -95,18 +126,32 @@ class SupervisedProcess:
     def healthy(self) -> bool:
         return not self.quarantined and not self.stopping
 
+    @property
+    def state(self) -> WorkerState:
+        """What the process does, in one word."""
+        if self.quarantined:
+            return "given_up"
+        if self.stopping:
+            return "stopping"
+        if self.running is not None:
+            return "running"
+        return "starting" if self._placed else "waiting"
+
     def poll(self) -> None:
         """Advance the state machine: detect exits, restart after the backoff, send waiting weights."""
         if self.quarantined:
             return
-        if self.running is not None:
-            if self.running.done() and not self.stopping:
-                self._handle_exit(exit_reason(self.running))
-        elif self.addresses is None:
+        if self.running is not None and self.running.done() and not self.stopping:
+            self._handle_exit(exit_reason(self.running))
+            if self.quarantined:
+                return
+        if self._addresses_call is None and time.monotonic() >= self._backoff_end_s and not self.stopping:
+            self._launch()
+        if self._addresses_call is not None and self.addresses is None:
             self._poll_start()
-        if self.running is None and self.addresses is not None and time.monotonic() >= self._backoff_end_s:
+        if self.running is None and self.addresses is not None:
             self.since_s = time.monotonic()
-            self.running = self._start_run(self.process, self.restarts)
+            self.running = self._start_run(self.process, self.addresses)
         self._send_weights()
 
     def load(self, weights: Any) -> None:
@@ -125,32 +170,44 @@ class SupervisedProcess:
         return time.monotonic() - self._load_sent_s if self._load_call and not self._load_call.done() else 0.0
 
     def replace(self, silence_s: float, *, heartbeat_received: bool) -> None:
-        """Kill a process that has been silent for `silence_s`; the platform starts a replacement."""
+        """Kill a process that has been silent for `silence_s`; a new one takes its place."""
         self.heartbeat_received = heartbeat_received
-        self.process.kill(restart=True)
         self._handle_exit(f"no response for {silence_s:.0f} s")
 
-    def _enter_starting(self, backoff_s: float) -> None:
-        self.addresses: tuple[str, str] | None = None  # of its metrics and its service, once it has started
+    def _launch(self) -> None:
+        self.process = self._start()
+        self._reset()
+        self._addresses_call = self.process.call("addresses")
+
+    def _reset(self) -> None:
+        """There is no process that could run."""
+        self.addresses: tuple[str, str] | None = None  # what its method `addresses` returned, once it has started
+        self._addresses_call = None
         self.running = None
-        self.since_s = time.monotonic()
+        self._placed = False
+        self.since_s = time.monotonic()  # start of the current state: waiting, starting or running
         self._load_call: Call | None = None
         self._load_sent_s = 0.0
         self._next_weights = None
-        self._backoff_end_s = self.since_s + backoff_s
-        self._addresses_call = self.process.call("addresses")
 
     def _poll_start(self) -> None:
+        assert self._addresses_call is not None
         if self._addresses_call.done():
             try:
                 self.addresses = self._addresses_call.result(START_TIMEOUT_S)
-                return
-            except ProcessDied as error:  # a platform may refuse calls while it starts a process
-                self.last_error = str(error)
-                self._addresses_call = self.process.call("addresses")
-        if time.monotonic() - self.since_s > START_TIMEOUT_S:
-            self.process.kill(restart=True)
-            self._handle_exit(f"it did not start within {START_TIMEOUT_S:.0f} s: {self.last_error}")
+            except ProcessDied as error:
+                self._handle_exit(f"it did not start: {error}")
+            else:
+                self._placed = True
+            return
+        waited_s = time.monotonic() - self.since_s
+        if not self._placed and self.process.placed():
+            self._placed, self.since_s = True, time.monotonic()
+        elif not self._placed and waited_s > self._place_timeout_s:
+            self.process.kill()
+            self._quarantine(f"no node had a place for it within {self._place_timeout_s:.0f} s")
+        elif self._placed and waited_s > START_TIMEOUT_S:
+            self._handle_exit(f"it did not start within {START_TIMEOUT_S:.0f} s")
 
     def _send_weights(self) -> None:
         idle = self._load_call is None or self._load_call.done()
@@ -159,18 +216,24 @@ class SupervisedProcess:
             self._load_sent_s = time.monotonic()
 
     def _handle_exit(self, error: str) -> None:
+        self.process.kill()  # also one that returned: it would keep its place
         self.last_error = error
         ran_s = time.monotonic() - self.since_s
         stable = self.running is not None and self.heartbeat_received and ran_s >= STABLE_RUN_S
         self._crashes = 1 if stable else self._crashes + 1
         self._metrics.worker_exits.labels(self.kind).inc()
         if self._crashes >= MAX_CRASHES:
-            self.quarantine_reason = error
-            LOG.error("%s is quarantined after %d crashes in a row: %s", self.name, MAX_CRASHES, error)
+            self._quarantine(f"{error}, {MAX_CRASHES} times in a row")
             return
         LOG.warning("%s exited and is restarted: %s", self.name, error)
         self.restarts += 1
-        self._enter_starting(backoff_s(self._crashes))
+        self._reset()
+        self._backoff_end_s = self.since_s + backoff_s(self._crashes)
+
+    def _quarantine(self, reason: str) -> None:
+        self._reset()
+        self.last_error = self.quarantine_reason = reason
+        LOG.error("%s is given up: %s", self.name, reason)
 
 
 def backoff_s(crashes: int) -> float:

@@ -9,12 +9,14 @@ from dataclasses import dataclass
 from itertools import count
 
 from giirl_core.types import UNSCORED, Trajectory
+from giirl_core.wire.addresses import split_key
 from giirl_core.wire.messages import WireError
 from giirl_core.wire.scoring import RETRYABLE, Rewards, ScoreReply, decode_reply, encode_request
 from giirl_core.wire.transport import Dealer, Keys
 
 BACKOFF_S = 0.02  # after the first retryable error of a replica; doubles with each further one
 BACKOFF_MAX_S = 1.0
+PROBE_S = 1.0  # between two probes of a silent replica
 WAIT_S = 0.02  # to receive from a single replica
 WAIT_EACH_S = 0.001  # to receive from each of several replicas
 
@@ -27,7 +29,10 @@ class _Replica:
     backlog: int = 0  # requests queued there, by its last reply
     retryable_errors: int = 0  # in a row
     backoff_until_s: float = 0.0  # no requests are sent to it before
-    suspect_until_s: float = 0.0  # it did not answer in time: before then, other replicas are preferred
+    heard_s: float = 0.0  # time of its last reply
+    unreachable_s: float | None = None  # since when there is no connection
+    probe: bytes = b""  # it is silent, and this is the request that it did not answer; b"" when it answers
+    probe_at_s: float = 0.0  # time of the next probe
 
 
 @dataclass(slots=True, kw_only=True)
@@ -37,7 +42,7 @@ class _Request:
     rewards: tuple[int, ...]  # wanted for each trajectory
     attempts: int = 0  # how often it was sent, without those that were answered with a retryable error
     replica: _Replica | None = None  # where the current attempt was sent
-    attempt_end_s: float = 0.0  # deadline of the current attempt
+    attempt_s: float = 0.0  # start of the current attempt
     end_s: float  # deadline of the request
     error: str = "no answer"
 
@@ -60,6 +65,9 @@ class ScoreClient:
     An attempt that is not answered within `timeout_s` is repeated up to `retries` times, at another replica if there is
     one. After a retryable error ("overloaded", "no weights yet") the request is sent again, after a backoff and without
     using up a retry. In any case the request fails after `timeout_s * (retries + 1)`.
+
+    A replica that answers nothing for `timeout_s` is silent: all its requests go to the others, and until it answers
+    again it gets only a copy of an old request every PROBE_S, for which nobody waits.
     """
 
     def __init__(
@@ -83,6 +91,11 @@ class ScoreClient:
     def pending(self) -> int:
         """Number of requests that have neither succeeded nor failed."""
         return len(self._pending)
+
+    @property
+    def answering(self) -> bool:
+        """Whether there is a replica that is not silent."""
+        return any(not replica.probe for replica in self._replicas)
 
     def set_replicas(self, addresses: Sequence[str]) -> None:
         """Replace the list of replicas. Pending requests of removed replicas are sent to the new ones."""
@@ -119,7 +132,7 @@ class ScoreClient:
             results = self._receive(WAIT_S if len(self._replicas) == 1 else WAIT_EACH_S)
         result = results[0]
         if result.rewards is None:
-            addresses = ", ".join(replica.address for replica in self._replicas) or "no address"
+            addresses = ", ".join(split_key(replica.address)[0] for replica in self._replicas) or "no address"
             raise TimeoutError(
                 f"the reward service at {addresses} gave no rewards for {len(trajectories)} episodes: {result.error}"
             )
@@ -152,22 +165,40 @@ class ScoreClient:
     def _send(self) -> None:
         now_s = time.monotonic()
         for request in self._pending.values():
-            if request.replica and now_s >= request.attempt_end_s:
-                request.replica.suspect_until_s = now_s + self._timeout_s
+            replica = request.replica
+            if replica and now_s >= request.attempt_s + self._timeout_s:
+                if replica.heard_s < request.attempt_s:
+                    self._mark_silent(replica, request.message, now_s)
                 self._detach(request)
                 request.error = f"no answer within {self._timeout_s} s, tried {request.attempts} times"
+            elif replica and replica.probe and self.answering:
+                self._detach(request)  # sent before the replica was known to be silent
+        for request in self._pending.values():
             if request.replica is None and request.attempts <= self._retries:
                 self._send_to_best(request, now_s)
+        for replica in self._replicas:
+            if replica.probe and now_s >= replica.probe_at_s:
+                replica.probe_at_s = now_s + PROBE_S
+                replica.dealer.send(replica.probe)
+
+    def _mark_silent(self, replica: _Replica, message: bytes, now_s: float) -> None:
+        if not replica.probe:
+            replica.probe, replica.probe_at_s = message, now_s + PROBE_S
 
     def _send_to_best(self, request: _Request, now_s: float) -> None:
-        """Send to the least loaded reachable replica that is not backing off; suspect replicas come last."""
-        available = [replica for replica in self._replicas if now_s >= replica.backoff_until_s]
-        for replica in sorted(available, key=lambda r: (r.suspect_until_s > now_s, r.rewards_in_flight + r.backlog)):
+        """Send to the least loaded reachable replica that is not backing off; to silent ones only if all are."""
+        answering = [replica for replica in self._replicas if not replica.probe] or self._replicas
+        available = [replica for replica in answering if now_s >= replica.backoff_until_s]
+        for replica in sorted(available, key=lambda r: r.rewards_in_flight + r.backlog):
             if replica.dealer.send(request.message):
-                request.replica, request.attempt_end_s = replica, now_s + self._timeout_s
+                request.replica, request.attempt_s = replica, now_s
                 request.attempts += 1
                 replica.rewards_in_flight += sum(request.rewards)
+                replica.unreachable_s = None
                 return
+            replica.unreachable_s = replica.unreachable_s or now_s
+            if now_s >= replica.unreachable_s + self._timeout_s:
+                self._mark_silent(replica, request.message, now_s)
         if available and not request.attempts:
             refusals = sum(replica.dealer.refusals for replica in self._replicas)
             request.error = f"no connection ({refusals} refusals)"
@@ -202,7 +233,7 @@ class ScoreClient:
         except WireError:
             self.ignored_replies += 1
             return None
-        replica.backlog, replica.suspect_until_s = reply.backlog, 0.0
+        replica.backlog, replica.heard_s, replica.probe = reply.backlog, time.monotonic(), b""
         request = self._pending.get(reply.request)
         if request is None:
             self.ignored_replies += 1

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import ipaddress
 import threading
-from collections.abc import Sequence
+import time
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
 
 import zmq
 from zmq.auth.thread import ThreadAuthenticator
 from zmq.utils.monitor import recv_monitor_message
 
-from giirl_core.files import atomic_write
+from giirl_core.wire.addresses import endpoint, is_loopback, split_key
 from giirl_core.wire.messages import MAX_BYTES
 
 SEND_HIGH_WATER_MARK = 256  # queued messages for each connection
@@ -30,7 +30,7 @@ RECONNECT_MAX_MS = 1_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Keys:
-    """A CURVE key pair. All processes of a run share one pair; only holders of the secret key can connect.
+    """A CURVE key pair. Each process of a run has its own, and only tells its public key.
 
     Raises ValueError when a key is malformed or the two do not belong together.
     """
@@ -52,35 +52,22 @@ class Keys:
         public, secret = zmq.curve_keypair()
         return cls(public=public, secret=secret)
 
-    @classmethod
-    def load_or_create(cls, path: Path) -> Keys:
-        """The pair in `path`; if there is no such file, a new pair is written to it, readable by the owner only.
-
-        Raises ValueError when the file does not hold a pair.
-        """
-        if not path.exists():
-            generated = cls.generate()
-            with atomic_write(path, mode=0o600) as file:
-                file.write(generated.public + b"\n" + generated.secret + b"\n")
-        lines = path.read_bytes().split()
-        if len(lines) != 2:
-            raise ValueError(f"{path} has {len(lines)} keys, wanted a public key and its secret key")
-        return cls(public=lines[0], secret=lines[1])
-
 
 class Router:
-    """The listening socket. Belongs to one thread; only `wake` may be called from others.
+    """The listening socket. Belongs to one thread; only `wake` and `allow` may be called from others.
 
-    Without keys it listens on loopback only. Raises ValueError when it cannot bind.
+    Without keys it listens on loopback only. With keys only holders of the same pair can connect, and of those that
+    `allow` names. `address` has the form of `addresses`. Raises ValueError when it cannot bind.
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 0, *, keys: Keys | None = None) -> None:
-        if keys is None and not _is_loopback(host):
+        if keys is None and not is_loopback(host):
             raise ValueError(f"cannot listen on {host}:{port} without CURVE keys, wanted a loopback address or keys")
         if not 0 <= port < 1 << 16:
             raise ValueError(f"port {port} is out of range, wanted 0 to 65535")
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._authenticator = _start_authenticator(self._context, keys) if keys else None
+        self._allowed = _AllowedKeys()
+        self._authenticator = _start_authenticator(self._context, self._allowed) if keys else None
         self._socket = _new_socket(self._context, zmq.ROUTER)
         self._timeouts = _Timeouts(self._socket)
         self._wake_lock, self._woken = threading.Lock(), False
@@ -91,15 +78,24 @@ class Router:
         self._socket.router_mandatory = True  # a send to a disconnected peer is an error, not a silent loss
         self._socket.router_handover = True  # a peer that reconnects keeps its identity
         if keys:
+            self._own_key = keys.public
+            self.allow([])
             self._socket.curve_server = True
             self._socket.curve_publickey = keys.public
             self._socket.curve_secretkey = keys.secret
+        self._socket.ipv6 = ":" in host
         try:
-            self._socket.bind(f"tcp://{host}:{port or '*'}")
+            self._socket.bind(endpoint(host, port))
         except zmq.ZMQError as error:
             self.close()
             raise ValueError(f"cannot listen on {host}:{port}: {error}; wanted a free port, or 0") from error
         self.address = self._socket.getsockopt_string(zmq.LAST_ENDPOINT).removeprefix("tcp://")
+        if keys:
+            self.address += f" {keys.public.decode()}"
+
+    def allow(self, public_keys: Iterable[bytes]) -> None:
+        """From now on, only holders of one of these keys or of the router's own can connect."""
+        self._allowed.keys = frozenset([self._own_key, *public_keys])
 
     @property
     def refusals(self) -> int:
@@ -156,12 +152,14 @@ class Router:
 class Dealer:
     """The connecting socket; reconnects automatically. Belongs to one thread.
 
+    `address` is that of a router. With keys, one without a public key belongs to a router with the same pair.
     `identity` is the name under which the router sees it. Raises ValueError for a bad identity or address.
     """
 
     def __init__(self, address: str, *, identity: bytes, keys: Keys | None = None) -> None:
         if not 1 <= len(identity) <= 255 or identity.startswith(b"\0"):
             raise ValueError(f"identity is {identity!r:.80}, wanted 1 to 255 bytes, the first not 0")
+        where, server_key = split_key(address)
         self._socket = _new_socket(_dealer_context(), zmq.DEALER)
         self._socket.identity = identity
         self._socket.immediate = True  # queue nothing while disconnected: `send` fails and the caller keeps the message
@@ -170,12 +168,14 @@ class Dealer:
         if keys:
             self._socket.curve_publickey = keys.public
             self._socket.curve_secretkey = keys.secret
-            self._socket.curve_serverkey = keys.public
+            self._socket.curve_serverkey = server_key or keys.public
         self._failed_handshakes = _FailedHandshakes(self._socket)
         self._timeouts = _Timeouts(self._socket)
-        self.address = address
+        self.address, self._endpoint = address, f"tcp://{where}"
+        self._refusals, self._connected_s = 0, time.monotonic()
+        self._socket.ipv6 = address.startswith("[")
         try:
-            self._socket.connect(f"tcp://{address}")
+            self._socket.connect(self._endpoint)
         except zmq.ZMQError as error:
             self.close()
             raise ValueError(f"cannot connect to {address!r}: {error}; wanted host:port") from error
@@ -199,9 +199,18 @@ class Dealer:
         try:
             self._socket.send(message)
         except zmq.Again:
-            self._failed_handshakes.count()  # empties the monitor's queue: a full one would block all sockets
+            refusals = self._failed_handshakes.count()  # also empties a queue: full, it would block all sockets
+            if refusals > self._refusals and time.monotonic() > self._connected_s + RECONNECT_MAX_MS / 1000:
+                self._refusals, self._connected_s = refusals, time.monotonic()
+                self._connect_again()
             return False
         return True
+
+    def _connect_again(self) -> None:
+        """Try again after a refusal, which libzmq takes as final: the router may allow this key by now."""
+        with suppress(zmq.ZMQError):
+            self._socket.disconnect(self._endpoint)
+        self._socket.connect(self._endpoint)
 
     def close(self) -> None:
         """Close the connection; queued messages are still sent in the background for at most LINGER_MS."""
@@ -270,30 +279,22 @@ def _new_socket(context: zmq.Context[zmq.Socket[bytes]], kind: int) -> zmq.Socke
     return socket
 
 
-class _SharedKeyOnly:
-    """Accepts only clients that use the shared key pair."""
+class _AllowedKeys:
+    """Accepts only clients with one of these public keys."""
 
-    def __init__(self, keys: Keys) -> None:
-        self._public = keys.public
+    keys: frozenset[bytes] = frozenset()
 
     def callback(self, domain: str, key: bytes) -> bool:
-        return key == self._public
+        return key in self.keys
 
 
-def _start_authenticator(context: zmq.Context[zmq.Socket[bytes]], keys: Keys) -> ThreadAuthenticator:
+def _start_authenticator(context: zmq.Context[zmq.Socket[bytes]], allowed: _AllowedKeys) -> ThreadAuthenticator:
     authenticator = ThreadAuthenticator(context)
     authenticator.start()
-    authenticator.configure_curve_callback(domain="*", credentials_provider=_SharedKeyOnly(keys))
+    authenticator.configure_curve_callback(domain="*", credentials_provider=allowed)
     return authenticator
 
 
 def _single_frame(frames: Sequence[bytes]) -> bytes:
     """The only frame of a message; b"", which is not a valid message, when a foreign peer sent several frames."""
     return frames[0] if len(frames) == 1 else b""
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"

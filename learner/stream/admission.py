@@ -1,42 +1,43 @@
 """Admission control without sockets: each episode that an actor sends is queued once, or dropped and counted.
 
 In the history of a checkpoint and the checkpoints before it, every episode that an actor finished is TAKEN by the
-learner, queued, or dropped for one of the reasons in DROPPED. Messages rejected for any other reason are duplicates,
-or the actor sends them again.
+learner, queued, LOST, or dropped for one of the reasons in DROPPED. Messages rejected for any other reason are
+duplicates, or the actor sends them again.
 """
 
 from __future__ import annotations
 
 import logging
 import time
-from collections import Counter, deque
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
+from giirl_core.telemetry.series import DROPPED
 from giirl_core.types import DEMONSTRATION, UNSCORED, Episode
 from giirl_core.wire import delivery
-from giirl_core.wire import messages as wire
 from giirl_core.wire.delivery import EpisodeMessage, Notice
 from giirl_core.wire.messages import Stamp, WireError
 from learner.stream.actor_state import ActorState
+from learner.stream.episode_queue import EpisodeQueue, Queued
 from learner.stream.flow import FlowControl, IngestLimits
-from learner.stream.snapshot import IngestSnapshot
+from learner.stream.snapshot import ActorOffsets, IngestSnapshot
 
 LOG = logging.getLogger(__name__)
 TAKEN = "taken"
-DROPPED = ("stale", "stale_queued", "invalid", "repeated", "held_out", "lost")
+LOST = "lost"
 
 
-@dataclass(slots=True, kw_only=True)
-class _Queued:
-    """An episode in the queue. The thread that takes or saves it builds it, not the thread that receives it."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frozen:
+    """The state at one moment, before the queued episodes are built: that takes long, and needs no lock."""
 
-    message: EpisodeMessage
-    episode: Episode | None = None
-    policy_version: int
-    owner: ActorState
+    version: int
+    pulled: tuple[Episode, ...]
+    entries: tuple[Queued, ...]
+    offsets: tuple[ActorOffsets, ...]
+    counts: Counter[str]
 
 
 class Admission:
@@ -58,9 +59,7 @@ class Admission:
         self._reward_version = reward_version
         self._limits = limits
         self._metrics = metrics
-        self._held_out = held_out
-        self._queue: deque[_Queued] = deque()
-        self._queued_bytes = 0
+        self._queue = EpisodeQueue(limits.max_lag, held_out)
         self._pulled: list[Episode] = list(snapshot.episodes)  # out of the queue, but the batch is still too small
         self._grants_due: set[str] = set()  # actors whose grant has changed
         self._actors = {offsets.actor: ActorState.from_offsets(offsets) for offsets in snapshot.offsets}
@@ -108,9 +107,9 @@ class Admission:
         else:
             actor.update(received)
             if received.kind == delivery.BYE:
-                self._drop("lost", actor.skip_to(actor.finished))
+                self._lose(actor.skip_to(actor.finished))
                 actor.peer = None
-        actor.last_heard_s = time.monotonic()
+        self._hear(actor)
         self._grants_due.add(stamp.actor)
         return None
 
@@ -120,23 +119,23 @@ class Admission:
         In lock-step each page is used once, and the batch is sorted by page, so that it does not depend on timing.
         """
         version = self._policy_version()
-        fresh = [e for e in self._pulled if not self._is_stale(e.trajectory.policy_version, version)]
+        fresh = [e for e in self._pulled if not self._queue.is_stale(e.trajectory.policy_version, version)]
         self._drop("stale_queued", len(self._pulled) - len(fresh))
         self._pulled = fresh
         pages = {_page(episode) for episode in fresh}
-        was_full = self._queued_bytes >= self._limits.max_bytes
+        was_full = self._queue.bytes >= self._limits.max_bytes
         while self._queue and len(self._pulled) < episodes:
             entry = self._queue.popleft()
-            self._release(entry)
-            episode = self._build(entry, version)
-            if episode is None:
-                continue
-            if not self._limits.max_lag and _page(episode) in pages:
-                self._drop("repeated")
-            else:
-                pages.add(_page(episode))
-                self._pulled.append(episode)
-        if was_full and self._queued_bytes < self._limits.max_bytes:
+            self._grants_due.add(entry.owner.actor)
+            problem = self._queue.check(entry, version)
+            if not problem and entry.episode is not None:
+                if self._limits.max_lag or _page(entry.episode) not in pages:
+                    pages.add(_page(entry.episode))
+                    self._pulled.append(entry.episode)
+                    continue
+                problem = "repeated"
+            self._drop(problem)
+        if was_full and self._queue.bytes < self._limits.max_bytes:
             self._grants_due.update(self._actors)
         if len(self._pulled) < episodes:
             return None
@@ -145,6 +144,7 @@ class Admission:
             self._observe_lag(episode, version)
         self._flow.observe([version - episode.trajectory.policy_version for episode in batch], self.stale)
         self._counts[TAKEN] += len(batch)
+        self._metrics.trajectories_taken.inc(len(batch))
         return batch if self._limits.max_lag else sorted(batch, key=_page)
 
     def grants(self) -> list[tuple[bytes, bytes]]:
@@ -155,19 +155,31 @@ class Admission:
         windows = self._flow.windows(connected, self._credits)
         return [(a.peer, delivery.encode_grant(a.grant(windows[a.actor]))) for a in due if a.peer is not None]
 
-    def snapshot(self) -> IngestSnapshot:
-        """The state that a checkpoint has to store. Drops queued episodes that are stale or invalid."""
-        version, kept = self._policy_version(), deque[_Queued]()
-        for entry in self._queue:
-            if self._build(entry, version):
-                kept.append(entry)
-            else:
-                self._release(entry)
-        self._queue = kept
-        return IngestSnapshot(
-            episodes=(*self._pulled, *(entry.episode for entry in kept if entry.episode is not None)),
+    def freeze(self) -> Frozen:
+        """The state that a checkpoint has to store. Call `build` and then `snapshot` with it."""
+        return Frozen(
+            version=self._policy_version(),
+            pulled=tuple(self._pulled),
+            entries=self._queue.entries,
             offsets=tuple(actor.offsets() for actor in self._actors.values()),
-            counts=dict(self._counts),
+            counts=self._counts.copy(),
+        )
+
+    def build(self, frozen: Frozen) -> dict[Queued, str]:
+        """Build the queued episodes; returns why some cannot be trained on. The only call that needs no lock."""
+        return {entry: why for entry in frozen.entries if (why := self._queue.check(entry, frozen.version))}
+
+    def snapshot(self, frozen: Frozen, problems: Mapping[Queued, str]) -> IngestSnapshot:
+        """The frozen state for a checkpoint. Drops the episodes with problems; none may be pulled in between."""
+        self._queue.remove(problems)
+        for entry, problem in problems.items():
+            self._grants_due.add(entry.owner.actor)
+            self._drop(problem)
+        queued = [entry.episode for entry in frozen.entries if entry not in problems and entry.episode is not None]
+        return IngestSnapshot(
+            episodes=(*frozen.pulled, *queued),
+            offsets=frozen.offsets,
+            counts=dict(frozen.counts + Counter(problems.values())),
         )
 
     def commit(self, snapshot: IngestSnapshot) -> None:
@@ -183,11 +195,12 @@ class Admission:
     def retire(self, name: str, finished: delivery.IncarnationCounts) -> None:
         """Remove an actor for good. Of `finished`, its own count per incarnation, what never arrived is lost."""
         actor = self._actors.get(name) or ActorState(actor=name, incarnation=-1)
-        self._drop("lost", actor.lost_with(finished))
+        self._lose(actor.lost_with(finished))
         incarnation, count = max([(actor.incarnation, max(actor.finished, actor.low_watermark)), *finished])
         if incarnation >= 0:
             self._actors[name] = retired = ActorState(actor=name, incarnation=incarnation, settled=actor.settled)
             retired.low_watermark = retired.finished = count
+        self._forget_time(name)
 
     def extend_deadlines(self, seconds: float) -> None:
         """Do not count the last `seconds` as silence: this process was not listening."""
@@ -206,7 +219,7 @@ class Admission:
 
     @property
     def _credits(self) -> int:
-        return self._limits.credits if self._queued_bytes < self._limits.max_bytes else 0
+        return self._limits.credits if self._queue.bytes < self._limits.max_bytes else 0
 
     def _why_refused(self, stamp: Stamp) -> str:
         """Why the learner will never accept this actor incarnation; "" if it may."""
@@ -220,11 +233,22 @@ class Admission:
         actor = self._actors.get(stamp.actor)
         if actor is None or actor.incarnation < stamp.incarnation:
             previous = actor or ActorState(actor=stamp.actor, incarnation=-1)
-            self._drop("lost", previous.lost_with(hello.before))
+            self._lose(previous.lost_with(hello.before))
             actor = ActorState(actor=stamp.actor, incarnation=stamp.incarnation, settled=previous.settled)
             self._actors[stamp.actor] = actor
-        self._drop("lost", actor.skip_to(stamp.sequence))
+        self._lose(actor.skip_to(stamp.sequence))
         actor.peer = peer
+
+    def _hear(self, actor: ActorState) -> None:
+        actor.last_heard_s = time.monotonic()
+        if actor.peer is not None:
+            self._metrics.actor_last_heard.labels(actor.actor).set_to_current_time()
+        else:
+            self._forget_time(actor.actor)
+
+    def _forget_time(self, name: str) -> None:
+        """Serve no time of an actor that has left: it would look like silence."""
+        self._metrics.actor_last_heard.remove(name)
 
     def _accept(self, actor: ActorState, message: EpisodeMessage) -> None:
         sequence = message.stamp.sequence
@@ -240,39 +264,12 @@ class Admission:
     def _enqueue(self, actor: ActorState, message: EpisodeMessage) -> None:
         version = message.header.get("policy_version")
         if type(version) is not int or version <= DEMONSTRATION:
-            self._drop_invalid(actor.actor, f"policy_version is {version!r:.80}, wanted an int >= 0")
-        elif self._is_stale(version, self._policy_version()):
+            LOG.warning("dropped an episode from %s: policy_version is %.80r, wanted an int >= 0", actor.actor, version)
+            self._drop("invalid")
+        elif self._queue.is_stale(version, self._policy_version()):
             self._drop("stale")
         else:
-            self._queue.append(_Queued(message=message, policy_version=version, owner=actor))
-            self._queued_bytes += message.size
-            actor.queued += 1
-
-    def _release(self, entry: _Queued) -> None:
-        """Give the credit of an episode that leaves the queue back to its actor."""
-        self._queued_bytes -= entry.message.size
-        entry.owner.queued -= 1
-        self._grants_due.add(entry.owner.actor)
-
-    def _build(self, entry: _Queued, version: int) -> Episode | None:
-        """The episode of an entry; None, and counted as dropped, if it is stale, invalid or held out."""
-        if self._is_stale(entry.policy_version, version):
-            self._drop("stale_queued")
-            return None
-        if entry.episode is None:
-            try:
-                entry.episode = wire.build_episode(entry.message.header, entry.message.arrays)
-            except WireError as error:
-                self._drop_invalid(entry.owner.actor, str(error))
-                return None
-            if is_held_out(entry.episode.trajectory.goal, self._held_out):
-                self._drop("held_out")
-                return None
-        return entry.episode
-
-    def _is_stale(self, behaviour_version: int, version: int) -> bool:
-        # After the learner has gone back to a checkpoint, actors may still play with a later policy: also off-policy.
-        return abs(version - behaviour_version) > self._limits.max_lag
+            self._queue.append(message, version, actor)
 
     def _observe_lag(self, episode: Episode, version: int) -> None:
         self._metrics.policy_lag.observe(max(0, version - episode.trajectory.policy_version))
@@ -282,18 +279,20 @@ class Admission:
     def _count_rejected(self, reason: str) -> None:
         """Count a message that brought no new episode, or one that is sent again."""
         self._metrics.trajectories_received.inc()
-        self._metrics.trajectories_dropped.labels(reason).inc()
-
-    def _drop_invalid(self, actor: str, problem: str) -> None:
-        LOG.warning("dropped an invalid episode from %s: %s", actor, problem)
-        self._drop("invalid")
+        self._metrics.trajectories_rejected.labels(reason).inc()
 
     def _drop(self, reason: str, episodes: int = 1) -> None:
-        """Count episodes that are finished but will not be trained on."""
+        """Count episodes that arrived but will not be trained on."""
         assert reason in DROPPED
         if episodes:
             self._counts[reason] += episodes
             self._metrics.trajectories_dropped.labels(reason).inc(episodes)
+
+    def _lose(self, episodes: int) -> None:
+        """Count episodes that an actor finished and that will not arrive."""
+        if episodes:
+            self._counts[LOST] += episodes
+            self._metrics.trajectories_lost.inc(episodes)
 
 
 def _page(episode: Episode) -> tuple[str, int]:

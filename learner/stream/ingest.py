@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from giirl_core.metrics import Metrics, waiting
 from giirl_core.types import Episode
@@ -59,6 +59,10 @@ class Ingest:
         self._thread = threading.Thread(target=self._run, name="ingest", daemon=True)
         self._thread.start()
 
+    def allow(self, public_keys: Iterable[bytes]) -> None:
+        """Accept connections of actors with these public keys only. The ingest needs keys of its own."""
+        self._router.allow(public_keys)
+
     def take(self, episodes: int, timeout_s: float) -> list[Episode]:
         """Wait for the next `episodes` fresh episodes, in order of arrival.
 
@@ -83,9 +87,15 @@ class Ingest:
                 self._lock.wait(left_s)
 
     def snapshot(self) -> IngestSnapshot:
-        """The state at this moment, for a checkpoint: queued episodes, actor offsets and episode counts."""
+        """The state at this moment, for a checkpoint: queued episodes, actor offsets and episode counts.
+
+        Call it from the thread that calls `take`.
+        """
         with self._lock:
-            return self._admission.snapshot()
+            frozen = self._admission.freeze()
+        problems = self._admission.build(frozen)  # without the lock, so that actors are answered meanwhile
+        with self._lock:
+            return self._admission.snapshot(frozen, problems)
 
     def commit(self, snapshot: IngestSnapshot) -> None:
         """Tell actors that a checkpoint with `snapshot` is on disk: they may discard the episodes that it covers.
@@ -172,5 +182,6 @@ class Ingest:
             self._refusals = refusals
         with self._lock:
             grants = self._admission.grants()
+            self._metrics.trajectories_queued.set(self._admission.queued)
         for peer, grant in grants:
             self._router.send(peer, grant)  # an actor that misses a grant gets another after its next heartbeat

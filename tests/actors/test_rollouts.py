@@ -169,8 +169,8 @@ def test_metrics_count_lost_episodes() -> None:
     rounds = play(LosingBrowser(tabs=2, times=2), ExpertAgent(expert), schedule, step_limit=5, metrics=metrics)
     assert sum(map(len, rounds)) == 6
     exposed = generate_latest(metrics.registry).decode()
-    assert 'giirl_episodes_total{outcome="lost",task="click-test"} 2.0' in exposed
-    assert 'giirl_episodes_total{outcome="success",task="click-test"} 6.0' in exposed
+    assert 'giirl_episodes_total{outcome="lost",purpose="train",task="click-test"} 2.0' in exposed
+    assert 'giirl_episodes_total{outcome="success",purpose="train",task="click-test"} 6.0' in exposed
 
 
 def test_an_episode_that_is_lost_every_time_is_abandoned_and_the_others_are_played() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from actors.agents import PolicyAgent
 from actors.uplink import Refused
-from actors.worker import OUTAGE_S, Worker, WorkerLimits
+from actors.worker import Worker, WorkerLimits
 from giirl_core.metrics import Metrics
 from giirl_core.nets.parameters import serialise_net
 from giirl_core.types import UNSCORED, Episode, Trajectory
@@ -22,6 +22,8 @@ from tests.learner.samples import policy, vectors
 
 class SilentScorer:
     """A score client whose requests are never answered."""
+
+    answering = True
 
     def __init__(self, *pending: Episode) -> None:
         self._pending: list[Any] = list(pending)
@@ -124,19 +126,17 @@ class FailingScorer(SilentScorer):
         return [(key, scored, 2) for (key, _), scored in zip(pending, rewards, strict=True)]
 
 
-def test_while_the_reward_service_fails_episodes_are_sent_unscored_and_few_requests_are_made(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    scorer, uplink, now_s = FailingScorer(), RecordingUplink(), [100.0]
-    monkeypatch.setattr("actors.worker.time.monotonic", lambda: now_s[0])
+def test_while_no_reward_service_answers_episodes_are_sent_unscored_at_once() -> None:
+    scorer, uplink = FailingScorer(), RecordingUplink()
     worker = make_worker(scorer, uplink, None, Metrics())
-    for _ in range(20):
+    worker._finish(episode(1))  # sent before it is known
+    scorer.answering = False
+    for _ in range(19):
         worker._finish(episode(1))
-        worker._poll()
+    worker._poll()
     assert scorer.requests == 1
     assert [e.trajectory.reward_version for e in uplink.submitted] == [UNSCORED] * 20
-    now_s[0] += OUTAGE_S + 0.1
-    scorer.down = False
+    scorer.down, scorer.answering = False, True
     for _ in range(3):
         worker._finish(episode(1))
         worker._poll()

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import pytest
 
-HERE = Path(__file__).parent
+from tests.whole import is_tested_alone
 
 
 @pytest.fixture(scope="session")
 def full(pytestconfig: pytest.Config) -> bool:
     """Whether pytest was started for this folder (`pytest tests/chaos`) rather than for all tests."""
-    paths = [Path(pytestconfig.invocation_params.dir, argument.split("::")[0]) for argument in pytestconfig.args]
-    return any(path.resolve() == HERE or HERE in path.resolve().parents for path in paths)
+    return is_tested_alone(Path(__file__).parent, pytestconfig)

@@ -22,8 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from giirl_core.telemetry.series import DROPPED
 from learner.checkpoint import latest_checkpoint
-from learner.stream.admission import DROPPED, TAKEN
+from learner.stream.admission import LOST, TAKEN
 from learner.stream.snapshot import IngestSnapshot
 from tests.chaos import raw_peer
 from tests.chaos.crowd import INCARNATIONS, SEQUENCES, VERSION_FILE, finished_counts, read_version, run_actors
@@ -230,7 +231,7 @@ def compute_ledger(folder: Path) -> dict[str, Any]:
     queue = [episode.trajectory.seed for episode in snapshot.episodes]
     finished = finished_counts(folder)
     unknown = [n for n in [*trained.tolist(), *queue] if _split_id(n)[1] >= finished.get(_split_id(n)[0], 0)]
-    dropped = {reason: snapshot.counts.get(reason, 0) for reason in DROPPED}
+    dropped = {reason: snapshot.counts.get(reason, 0) for reason in (*DROPPED, LOST)}
     return {
         "finished": sum(finished.values()),
         "incarnations": len(finished),

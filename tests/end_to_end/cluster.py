@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import secrets
 import socket
@@ -11,6 +12,7 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 from tests.end_to_end.commands import HTTP_TIMEOUT_S, LOOPBACK, Command
 
@@ -36,11 +38,45 @@ def ray_cluster() -> Iterator[tuple[Command, dict[str, str], dict[str, str]]]:
         *(f"--dashboard-agent-listen-port={agent}", f"--ray-client-server-port={client}"),
         f"--object-store-memory={256 << 20}",
     ]
-    head_env = {**env, "RAY_ADDRESS": "", "RAY_JOB_STOP_WAIT_TIME_S": "60"}
+    head_env = {**env, "RAY_ADDRESS": ""}
     job_env = {**env, "RAY_ADDRESS": f"http://127.0.0.1:{dashboard}", "RAY": RAY}
     with Command(*words, program=[RAY], env=head_env) as head:
         head.until(lambda: _accepts_jobs(job_env), "response of the dashboard")
         yield head, job_env, {**env, "RAY_ADDRESS": f"127.0.0.1:{port}"}
+
+
+PROBE = """
+import json, logging, ray
+ray.init(address="auto", namespace="giirl", logging_level=logging.ERROR, log_to_driver=False)
+total, free = ray.cluster_resources(), ray.available_resources()
+print(json.dumps({"actors": ray.util.list_named_actors(), "cpus_in_use": total["CPU"] - free.get("CPU", 0)}))
+"""
+
+
+def probe(driver_env: dict[str, str]) -> dict[str, Any]:
+    """The `actors` of GIIRL in a cluster, by name, and its `cpus_in_use`."""
+    with Command("-c", PROBE, program=[sys.executable], env=driver_env) as command:
+        assert command.wait() == 0, command.output
+        found: dict[str, Any] = json.loads(command.out.splitlines()[-1])
+        return found
+
+
+HOG = """
+import logging, time, ray
+ray.init(address="auto", logging_level=logging.ERROR, log_to_driver=False)
+hog = ray.remote(type("Hog", (), {"ready": lambda self: None})).options(num_cpus=2).remote()
+ray.get(hog.ready.remote())
+print("hogging", flush=True)
+time.sleep(600)
+"""
+
+
+@contextmanager
+def all_cpus_taken(driver_env: dict[str, str]) -> Iterator[Command]:
+    """In this block, or until the command is killed, another program uses all CPUs of the cluster."""
+    with Command("-c", HOG, program=[sys.executable], env=driver_env) as hog:
+        hog.until(lambda: "hogging" in hog.out, "an actor that takes all CPUs")
+        yield hog
 
 
 def _accepts_jobs(env: dict[str, str]) -> bool:

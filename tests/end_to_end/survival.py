@@ -3,14 +3,7 @@
 from __future__ import annotations
 
 import json
-import shutil
 import signal
-import socket
-import subprocess
-import urllib.error
-import urllib.parse
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,9 +11,6 @@ from typing import Any
 import psutil
 
 from tests.end_to_end.commands import (
-    CLEANUP_S,
-    HTTP_TIMEOUT_S,
-    LOOPBACK,
     Command,
     Sample,
     command_line,
@@ -30,6 +20,7 @@ from tests.end_to_end.commands import (
     total,
     try_scrape,
 )
+from tests.end_to_end.prometheus import prometheus
 
 TASKS = ("click-test-2", "click-button")
 ITERATIONS = 250
@@ -95,7 +86,7 @@ def _observe_healthy(command: Command, survival: Survival) -> None:
 
     command.until(lambda: step(survival.run) > 0, "first iteration")
     command.until(all_working, "rewards from the service and metrics of every process")
-    with prometheus(survival.run.parent) as query:
+    with prometheus(survival.run.parent, f"file_sd_configs: [{{files: [{survival.run}/prometheus.json]}}]") as query:
         if query:
             survival.up = {}
 
@@ -181,51 +172,3 @@ def _chrome(actor: psutil.Process) -> psutil.Process:
         if "--user-data-dir=" in arguments and "--type=" not in arguments:
             return process
     raise AssertionError(f"actor {actor.pid} has no Chrome")
-
-
-class PrometheusQuery:
-    """Sends queries to a Prometheus server."""
-
-    def __init__(self, port: int) -> None:
-        self._url = f"http://127.0.0.1:{port}/api/v1/query?"
-
-    def __call__(self, query: str) -> list[dict[str, Any]]:
-        try:
-            with LOOPBACK.open(
-                self._url + urllib.parse.urlencode({"query": query}), timeout=HTTP_TIMEOUT_S
-            ) as response:
-                rows: list[dict[str, Any]] = json.load(response)["data"]["result"]
-                return rows
-        except (urllib.error.URLError, OSError):
-            return []  # it is still starting
-
-
-@contextmanager
-def prometheus(folder: Path) -> Iterator[PrometheusQuery | None]:
-    """A Prometheus server that scrapes the run in `folder`; None if Prometheus is not installed."""
-    program = shutil.which("prometheus")
-    if program is None:
-        yield None
-        return
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    config = folder / "prometheus.yml"
-    config.write_text(
-        "global: {scrape_interval: 1s}\n"
-        "scrape_configs: [{job_name: giirl, file_sd_configs: [{files: [run/prometheus.json]}]}]\n"
-    )
-    process = subprocess.Popen(
-        [
-            program,
-            f"--config.file={config}",
-            f"--storage.tsdb.path={folder / 'tsdb'}",
-            f"--web.listen-address=127.0.0.1:{port}",
-        ],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        yield PrometheusQuery(port)
-    finally:
-        process.kill()
-        process.wait(timeout=CLEANUP_S)

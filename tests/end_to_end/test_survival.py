@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,11 @@ METRICS = {
     },
     "learner": {
         "giirl_trajectories_received_total",
+        "giirl_trajectories_taken_total",
+        "giirl_training_statistic",
+        "giirl_run_info",
+        "giirl_actor_last_heard_timestamp_seconds",
+        "process_resident_memory_bytes",
         "giirl_policy_version",
         "giirl_reward_version",
         "giirl_policy_lag_versions_count",
@@ -58,7 +64,7 @@ def test_the_result_has_success_rates_with_intervals_and_the_random_baseline(sur
 
 def test_a_run_prints_its_result_as_a_table(survival: Survival) -> None:
     for task, row in read_json(survival.run / "result.json")["tasks"].items():
-        line = next(line for line in reversed(survival.output.splitlines()) if f" {task} " in line)
+        line = next(line for line in survival.output.splitlines() if "│" in line and f" {task} " in line)
         assert f" {100 * row['success']:.1f} " in line
         assert f" {100 * row['random']:.1f} " in line
 
@@ -73,13 +79,19 @@ def test_every_process_of_a_run_serves_its_metrics(survival: Survival, process: 
 def test_metrics_have_the_documented_labels(survival: Survival) -> None:
     learner = survival.learner
     for task in TASKS:
-        assert total(survival.healthy["actor-0"], "giirl_episodes_total", task=task) > 0
+        assert total(survival.healthy["actor-0"], "giirl_episodes_total", task=task, purpose="train") > 0
+        assert total(learner, "giirl_episodes_total", task=task, purpose="train") == 0
+        assert total(learner, "giirl_episodes_total", task=task, purpose="demonstrate") >= 20
     for network in ("policy", "reward"):
         assert total(learner, "giirl_gradient_updates_total", network=network) > 0, network
     accuracy = {dict(labels)["source"]: v for (name, labels), v in learner.items() if name.endswith("_accuracy_ratio")}
     assert {"expert", "rollouts"} <= set(accuracy)
     assert all(0 <= value <= 1 for value in accuracy.values())
     assert total(learner, "giirl_waiting_seconds_total", reason="rollouts") > 0
+    assert total(learner, "giirl_run_phase", phase="training") == 1
+    assert total(learner, "giirl_workers", kind="actor", state="running") == 1
+    assert total(learner, "giirl_iterations_goal") == ITERATIONS
+    assert total(learner, "giirl_checkpoint_timestamp_seconds") > time.time() - 3600
     assert total(learner, "giirl_policy_lag_versions_count") > 0
     assert total(learner, "giirl_reward_lag_versions_count") > 0
 

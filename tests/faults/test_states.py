@@ -16,7 +16,7 @@ from actors.episode_counter import read_counts
 from giirl.run.folder import RunFolder
 from giirl.run.states import State, state_of
 from giirl.run.workers import WorkersRuntime
-from giirl_core.wire.transport import Keys
+from giirl_core.wire.key_file import load_or_create_keys
 from tests.command import Command
 from tests.giirl.small import SETTINGS, run
 from tests.thread_platform import ThreadPlatform
@@ -169,9 +169,9 @@ def test_keys_that_were_cut_off_while_they_were_written_cannot_exist(
     with monkeypatch.context() as patch:
         patch.setattr(Path, "replace", killed)
         with pytest.raises(KeyboardInterrupt):
-            Keys.load_or_create(tmp_path / "keys")
-    keys = Keys.load_or_create(tmp_path / "keys")
-    assert Keys.load_or_create(tmp_path / "keys") == keys
+            load_or_create_keys(tmp_path / "keys")
+    keys = load_or_create_keys(tmp_path / "keys")
+    assert load_or_create_keys(tmp_path / "keys") == keys
     assert (tmp_path / "keys").stat().st_mode & 0o777 == 0o600
 
 

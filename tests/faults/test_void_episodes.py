@@ -38,8 +38,8 @@ def faulty_farm() -> FaultyFarm:
 @pytest.fixture
 def faulty(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let everything that plays pages open a faulty farm."""
-    for module in ("evaluate", "demonstrations", "experts", "serial"):
-        monkeypatch.setattr(f"giirl.run.{module}.open_browser", lambda *_, **__: faulty_farm())
+    for module in ("actors.player", "giirl.run.experts", "giirl.run.serial"):
+        monkeypatch.setattr(f"{module}.open_browser", lambda *_, **__: faulty_farm())
 
 
 def text(table: Table) -> str:

@@ -119,3 +119,14 @@ def test_a_chrome_that_is_installed_but_does_not_start_is_missing() -> None:
     assert "MISSING" in line
     assert "GIIRL_CHROME_SANDBOX=off" in line
     assert done.stderr == "giirl: missing: Chromium shows a page; the table says how to get them\n"
+
+
+@pytest.mark.parametrize(("limit", "ok", "found"), [(1024, True, "1024, enough for 128 actors"), (256, False, "256, ")])
+def test_the_limit_on_open_files_is_shown_as_a_number_of_actors(
+    limit: int, ok: bool, found: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(doctor, "open_files_limit", lambda: limit)
+    check = doctor.open_files()
+    assert check.ok is ok
+    assert check.found.startswith(found)
+    assert check.name in {one.name for one in doctor.checks()}

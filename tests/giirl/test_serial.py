@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 
 import giirl.run.serial as serial
+import giirl.run.train as giirl_run
 from browser_farm.fake import FakeFarm
 from giirl.run.evaluate import result_table
 from giirl.run.folder import RunFolder
 from giirl.run.serial import SerialRuntime
 from giirl.signals import Stopped
 from giirl_core.types import Command, Episode, Outcome, StepResult
-from learner.checkpoint import latest_checkpoint
+from learner.checkpoint import latest_checkpoint, save_checkpoint
 from tests.giirl.small import run
 
 STEPS = 4
@@ -170,29 +171,44 @@ def test_changed_discriminator_rewards_do_affect_training(
     assert run(tmp_path / "run")[PARAMETERS] != straight[1][PARAMETERS]
 
 
+def test_a_long_iteration_is_saved_at_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    saved: list[int] = []
+    save = save_checkpoint
+
+    def saving(folder: Path, step: int, *values: Any, **named: Any) -> Path:
+        saved.append(step)
+        return save(folder, step, *values, **named)
+
+    monkeypatch.setattr(giirl_run, "save_checkpoint", saving)
+    monkeypatch.setattr(giirl_run, "LONG_ITERATION_S", 0.0)
+    run(tmp_path / "run", "checkpoint_every=100")
+    assert saved == list(range(STEPS + 1))
+
+
 def test_training_demonstrations_and_evaluation_never_share_a_page(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    opened: list[set[tuple[str, int]]] = []
-    for module in ("giirl.run.demonstrations", "giirl.run.serial", "giirl.run.evaluate"):
-        seen: set[tuple[str, int]] = set()
-        opened.append(seen)
+    opened: list[set[tuple[str, int]]] = []  # what each browser has shown, in the order in which they were opened
 
-        class Watched(FakeFarm):
-            _seen = seen
+    class Watched(FakeFarm):
+        def __init__(self, tabs: int) -> None:
+            super().__init__(tabs=tabs)
+            self._seen: set[tuple[str, int]] = set()
+            opened.append(self._seen)
 
-            def reset(self, episodes: Any) -> Any:
-                shown = super().reset(episodes)
-                self._seen |= {(look.episode.task, look.episode.seed) for look in shown.values()}
-                return shown
+        def reset(self, episodes: Any) -> Any:
+            shown = super().reset(episodes)
+            self._seen |= {(look.episode.task, look.episode.seed) for look in shown.values()}
+            return shown
 
-            def step(self, commands: Any) -> Any:
-                results = super().step(commands)
-                looks = [result.observation for result in results.values() if result.observation]
-                self._seen |= {(look.episode.task, look.episode.seed) for look in looks}
-                return results
+        def step(self, commands: Any) -> Any:
+            results = super().step(commands)
+            looks = [result.observation for result in results.values() if result.observation]
+            self._seen |= {(look.episode.task, look.episode.seed) for look in looks}
+            return results
 
-        monkeypatch.setattr(f"{module}.open_browser", lambda config, metrics, kind=Watched: kind(tabs=4))
+    for module in ("actors.player", "giirl.run.serial"):
+        monkeypatch.setattr(f"{module}.open_browser", lambda config, metrics: Watched(tabs=4))
     run(tmp_path / "run")
     demonstrated, trained, evaluated = opened
     assert len(demonstrated) == 16

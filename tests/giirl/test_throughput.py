@@ -31,7 +31,9 @@ def test_rates_are_those_of_the_last_seconds_and_totals_those_of_the_session(clo
     assert total["episodes_per_s"] == pytest.approx(200 / 75, abs=0.1)
     assert total["learner_waits"] == pytest.approx(30 / 75, abs=0.01)
     assert total["stale"] == pytest.approx(9 / 209, abs=0.001)
-    assert format_rates(recent) == "4 episodes/s, learner waits 60 %, actors idle 25 %, lag 2.0, stale 4.8 %"
+    assert format_rates(recent, {"lost": 3}) == (
+        "4 episodes/s, 10 steps/s, learner waits 60 %, actors idle 25 %, lag 2.0, stale 4.8 %, lost 3"
+    )
 
 
 def test_the_first_step_has_rates_too(clock: list[float]) -> None:

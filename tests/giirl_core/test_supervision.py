@@ -52,15 +52,19 @@ class FakeProcess:
 
     def __init__(self) -> None:
         self.calls: list[tuple[str, tuple[Any, ...]]] = []
-        self.kills: list[bool] = []
+        self.kills = 0
+        self.has_place = True
         self.results: dict[str, Callable[[], FakeCall]] = {"addresses": lambda: FakeCall(("m:1", "s:1"))}
 
     def call(self, method: str, *values: Any) -> FakeCall:
         self.calls.append((method, values))
         return self.results.get(method, FakeCall)()
 
-    def kill(self, *, restart: bool) -> None:
-        self.kills.append(restart)
+    def placed(self) -> bool:
+        return self.has_place
+
+    def kill(self) -> None:
+        self.kills += 1
 
 
 class Harness:
@@ -69,11 +73,20 @@ class Harness:
     def __init__(self) -> None:
         self.process, self.metrics = FakeProcess(), Metrics()
         self.run = FakeCall(pending=True)
-        self.runs: list[int] = []  # the restart count of every run
-        self.supervised = SupervisedProcess("actor-3", self.process, self.start_run, self.metrics)
+        self.starts = 0  # of processes; one fake stands for all of them
+        self.runs: list[int] = []  # for every run, the number of the process
+        self.supervised = self.supervise()
 
-    def start_run(self, process: Process, restarts: int) -> Call:
-        self.runs.append(restarts)
+    def supervise(self, **limits: float) -> SupervisedProcess:
+        self.starts = 0
+        return SupervisedProcess("actor-3", self.start, self.start_run, self.metrics, **limits)
+
+    def start(self) -> Process:
+        self.starts += 1
+        return self.process
+
+    def start_run(self, process: Process, addresses: tuple[str, str]) -> Call:
+        self.runs.append(self.starts)
         self.run = FakeCall(pending=True)
         return self.run
 
@@ -99,10 +112,17 @@ def start(harness: Harness, clock: FakeClock) -> None:
         harness.supervised.poll()
 
 
+def after(seconds: float, supervised: SupervisedProcess, clock: FakeClock) -> str:
+    """The state that a process has after this time."""
+    clock.now_s += seconds
+    supervised.poll()
+    return supervised.state
+
+
 def test_the_run_starts_once_the_process_has_reported_its_addresses(harness: Harness, clock: FakeClock) -> None:
     assert harness.runs == []
     start(harness, clock)
-    assert harness.runs == [0]
+    assert harness.runs == [1]
     assert harness.supervised.addresses == ("m:1", "s:1")
     assert harness.supervised.healthy
 
@@ -112,10 +132,10 @@ def test_a_process_that_exited_is_restarted_after_a_backoff(harness: Harness, cl
     harness.exit("out of memory")
     harness.supervised.poll()
     harness.supervised.poll()  # started again; the run waits for the backoff
-    assert harness.runs == [0]
+    assert harness.runs == [1]
     clock.now_s += 1.0
     harness.supervised.poll()
-    assert harness.runs == [0, 1]
+    assert harness.runs == [1, 2]
     assert harness.supervised.last_error == "out of memory"
     assert harness.metrics.registry.get_sample_value("giirl_worker_exits_total", {"kind": "actor"}) == 1
 
@@ -133,7 +153,7 @@ def test_a_process_in_a_crash_loop_is_quarantined_with_the_reason(harness: Harne
         start(harness, clock)
         harness.exit("no such browser")
         harness.supervised.poll()
-    assert harness.supervised.quarantine_reason == "no such browser"
+    assert harness.supervised.quarantine_reason == f"no such browser, {MAX_CRASHES} times in a row"
     assert not harness.supervised.healthy
     start(harness, clock)
     assert len(harness.runs) == MAX_CRASHES
@@ -151,31 +171,33 @@ def test_exits_after_stable_runs_are_not_a_crash_loop(harness: Harness, clock: F
 def test_a_hung_process_is_killed_and_its_replacement_runs(harness: Harness, clock: FakeClock) -> None:
     start(harness, clock)
     harness.supervised.replace(60.0, heartbeat_received=True)
-    assert harness.process.kills == [True]
+    assert harness.process.kills == 1
     start(harness, clock)
-    assert harness.runs == [0, 1]
+    assert harness.runs == [1, 2]
 
 
 def test_a_process_that_does_not_start_in_time_is_killed(harness: Harness, clock: FakeClock) -> None:
     harness.process.results["addresses"] = lambda: FakeCall(pending=True)
-    supervised = SupervisedProcess("actor-4", harness.process, harness.start_run, harness.metrics)
+    supervised = harness.supervise()
+    supervised.poll()
     clock.now_s += START_TIMEOUT_S - 1
     supervised.poll()
-    assert harness.process.kills == []
+    assert harness.process.kills == 0
     clock.now_s += 2
     supervised.poll()
-    assert harness.process.kills == [True]
+    assert harness.process.kills == 1
     assert "did not start" in supervised.last_error
 
 
 def test_a_process_that_repeatedly_fails_to_start_is_quarantined(harness: Harness, clock: FakeClock) -> None:
     for addresses in (FakeCall(pending=True), FakeCall(error="no such image")):
         harness.process.results["addresses"] = lambda addresses=addresses: addresses  # type: ignore[misc]
-        supervised = SupervisedProcess("actor-4", harness.process, harness.start_run, harness.metrics)
+        supervised = harness.supervise()
         for _ in range(MAX_CRASHES):
             assert supervised.healthy
-            clock.now_s += START_TIMEOUT_S + 1
-            supervised.poll()
+            for seconds in (BACKOFF_MAX_S, START_TIMEOUT_S + 1) if addresses.pending else (BACKOFF_MAX_S,):
+                clock.now_s += seconds
+                supervised.poll()
         assert not supervised.healthy
         assert "did not start" in supervised.quarantine_reason
     assert "no such image" in supervised.quarantine_reason
@@ -203,13 +225,38 @@ def test_the_time_that_a_load_has_been_pending_is_known(harness: Harness, clock:
     assert harness.supervised.load_pending_s == 0.0
 
 
-def test_calls_that_fail_while_a_process_starts_are_retried(harness: Harness, clock: FakeClock) -> None:
-    failures = [FakeCall(error="it restarts"), FakeCall(error="it restarts")]
+def test_a_process_that_fails_to_start_is_replaced_by_another_one(harness: Harness, clock: FakeClock) -> None:
+    failures = [FakeCall(error="no such image"), FakeCall(error="no such image")]
     harness.process.results["addresses"] = lambda: failures.pop() if failures else FakeCall(("m:2", ""))
-    harness.supervised = SupervisedProcess("actor-3", harness.process, harness.start_run, harness.metrics)
+    harness.supervised = harness.supervise()
     start(harness, clock)
     start(harness, clock)
     assert harness.supervised.addresses == ("m:2", "")
+    assert harness.starts == 3
+
+
+def test_waiting_for_a_place_is_no_crash_however_long_it_lasts(harness: Harness, clock: FakeClock) -> None:
+    addresses = FakeCall(("m:1", ""), pending=True)
+    harness.process.results["addresses"] = lambda: addresses
+    harness.process.has_place = False
+    supervised = harness.supervise()
+    assert {after(START_TIMEOUT_S, supervised, clock) for _ in range(100)} == {"waiting"}
+    assert (harness.process.kills, harness.starts) == (0, 1)
+    harness.process.has_place = True
+    assert after(0, supervised, clock) == "starting"
+    addresses.pending = False
+    assert after(START_TIMEOUT_S - 1, supervised, clock) == "running"
+    assert harness.metrics.registry.get_sample_value("giirl_worker_exits_total", {"kind": "actor"}) == 0
+
+
+def test_a_process_without_a_place_is_given_up_at_the_deadline(harness: Harness, clock: FakeClock) -> None:
+    harness.process.results["addresses"] = lambda: FakeCall(pending=True)
+    harness.process.has_place = False
+    supervised = harness.supervise(place_timeout_s=3600.0)
+    assert after(3599.0, supervised, clock) == "waiting"
+    assert after(2.0, supervised, clock) == "given_up"
+    assert supervised.quarantine_reason == "no node had a place for it within 3600 s"
+    assert harness.process.kills == 1
 
 
 def test_weights_sent_faster_than_they_are_loaded_are_skipped_except_the_newest(
@@ -233,5 +280,5 @@ def test_a_process_that_was_asked_to_stop_is_not_restarted(harness: Harness, clo
     harness.supervised.stopping = True
     harness.exit("")
     start(harness, clock)
-    assert harness.runs == [0]
+    assert harness.runs == [1]
     assert not harness.supervised.healthy

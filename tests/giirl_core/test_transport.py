@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import closing, suppress
 from pathlib import Path
@@ -106,6 +107,41 @@ def test_only_holders_of_the_keys_can_connect() -> None:
         assert router.refusals
 
 
+def test_a_client_with_a_key_of_its_own_can_connect_while_it_is_allowed() -> None:
+    own = Keys.generate()
+    with closing(Router(keys=Keys.generate())) as router:
+        with closing(Dealer(router.address, identity=b"a", keys=own)) as dealer:
+            assert not dealer.send(b"x", timeout_s=0.5)
+            router.allow([Keys.generate().public, own.public])
+            deadline_s = time.monotonic() + WAIT_S
+            while not dealer.send(b"x", timeout_s=0.05):  # it tries again by itself
+                assert time.monotonic() < deadline_s
+            assert router.recv(WAIT_S) == (b"a", b"x")
+        router.allow([])
+        with closing(Dealer(router.address, identity=b"a", keys=own)) as dealer:
+            assert not dealer.send(b"x", timeout_s=0.5)
+
+
+def test_a_router_with_another_key_than_its_address_says_is_not_spoken_to() -> None:
+    keys, impostor = Keys.generate(), Keys.generate()
+    with closing(Router(keys=impostor)) as router:
+        router.allow([keys.public])
+        address = f"{router.address.partition(' ')[0]} {Keys.generate().public.decode()}"
+        with closing(Dealer(address, identity=b"a", keys=keys)) as dealer:
+            assert not dealer.send(b"x", timeout_s=0.5)
+
+
+def test_routers_and_dealers_speak_ipv6() -> None:
+    if not Path("/proc/net/if_inet6").exists():
+        pytest.skip("this machine has no IPv6")
+    with closing(Router("::1")) as router, closing(Dealer(router.address, identity=b"a")) as dealer:
+        assert router.address.startswith("[::1]:")
+        assert dealer.send(b"x", timeout_s=WAIT_S)
+        assert router.recv(WAIT_S) == (b"a", b"x")
+    with pytest.raises(ValueError, match="without CURVE keys"):
+        Router("::")
+
+
 @pytest.mark.parametrize("holder", [True, False])
 def test_the_public_key_alone_is_not_enough_to_connect(holder: bool) -> None:
     keys = Keys.generate()
@@ -115,7 +151,7 @@ def test_the_public_key_alone_is_not_enough_to_connect(holder: bool) -> None:
         client.curve_serverkey = keys.public
         client.curve_publickey = own.public
         client.curve_secretkey = own.secret
-        client.connect(f"tcp://{router.address}")
+        client.connect(f"tcp://{router.address.partition(' ')[0]}")
         client.send(b"x")
         assert (router.recv(WAIT_S if holder else 0.5) is not None) == holder
 

@@ -86,8 +86,18 @@ class AdmissionHarness:
         grants = dict(self.admission.grants())
         return delivery.read_grant(wire.decode(grants[actor.encode()])[0])
 
+    def snapshot(self) -> IngestSnapshot:
+        frozen = self.admission.freeze()
+        return self.admission.snapshot(frozen, self.admission.build(frozen))
+
     def count(self, name: str, **labels: str) -> float:
         return self.metrics.registry.get_sample_value(f"giirl_trajectories_{name}_total", labels) or 0.0
+
+    def lost(self) -> float:
+        return self.count("lost")
+
+    def rejected(self, reason: str) -> float:
+        return self.count("rejected", reason=reason)
 
     def dropped(self, reason: str) -> float:
         return self.count("dropped", reason=reason)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from giirl_core.telemetry.series import DROPPED, REJECTED
 from giirl_core.wire import delivery
 from giirl_core.wire import messages as wire
 from giirl_core.wire.delivery import Grant, Notice
@@ -36,7 +37,7 @@ def test_each_episode_is_taken_once_for_any_order_and_number_of_arrivals(arrival
         harness.send_episode(sequence)
     assert sorted(harness.pull_seeds(4)) == [0, 1, 2, 3]
     assert harness.grant().low_watermark == 4
-    assert harness.dropped("duplicate") == 5
+    assert harness.rejected("duplicate") == 5
     assert harness.count("received") == 9
 
 
@@ -48,7 +49,7 @@ def test_credits_come_back_only_when_the_learner_takes_episodes() -> None:
     harness.send_episode(1)
     assert harness.grant().limit == 2
     assert harness.send_episode(2) == ""
-    assert harness.dropped("over_credit") == 1
+    assert harness.rejected("over_credit") == 1
     harness.pull_seeds(1)
     assert harness.grant().limit == 3
     harness.send_episode(2)  # rejected above, accepted now that there is a credit
@@ -83,7 +84,7 @@ def test_older_incarnations_and_other_runs_are_refused_and_counted() -> None:
     assert harness.hello(incarnation=1) == "fenced"
     assert harness.send_episode(0, incarnation=2, run="old") == "other_run"
     assert harness.hello(run="old") == "other_run"
-    assert (harness.dropped("fenced"), harness.dropped("other_run")) == (1, 1)
+    assert (harness.rejected("fenced"), harness.rejected("other_run")) == (1, 1)
     assert harness.admission.queued == 0
 
 
@@ -94,7 +95,7 @@ def test_a_newer_incarnation_starts_with_its_own_episode_0() -> None:
     harness.hello(incarnation=1)
     harness.send_episode(0, incarnation=1)
     assert harness.pull_seeds(2) == [0, 0]
-    assert harness.dropped("duplicate") == 0
+    assert harness.rejected("duplicate") == 0
 
 
 @pytest.mark.parametrize(("version", "taken"), [(3, 1), (5, 1), (6, 0), (1, 1), (0, 0)])
@@ -140,7 +141,7 @@ def test_a_full_queue_accepts_no_episode_until_it_has_room() -> None:
     harness.send_episode(0)
     assert harness.grant().limit == 1
     harness.send_episode(0, actor="b")
-    assert harness.dropped("over_credit") == 1
+    assert harness.rejected("over_credit") == 1
     assert harness.pull_seeds(1) == [0]
     assert harness.grant("b").limit == 8  # every actor gets a new grant
     harness.send_episode(0, actor="b")
@@ -152,11 +153,11 @@ def test_a_snapshot_of_the_queue_frees_no_credits() -> None:
     harness.hello()
     for sequence in (0, 1):
         harness.send_episode(sequence)
-    snapshot = harness.admission.snapshot()
+    snapshot = harness.snapshot()
     assert [e.trajectory.seed for e in snapshot.episodes] == [0, 1]
     assert harness.grant().limit == 2
     harness.send_episode(2)
-    assert harness.dropped("over_credit") == 1
+    assert harness.rejected("over_credit") == 1
     assert harness.pull_seeds(2) == [0, 1]
 
 
@@ -175,7 +176,7 @@ def test_malformed_messages_are_dropped_and_counted() -> None:
     other_kind = wire.encode({"kind": delivery.GRANT, **stamp})
     for message in (b"", b"junk", wire.encode({"kind": "episode"}), other_kind, b"GIRL" * 9):
         assert harness.admission.receive(b"a", message) is None
-    assert harness.dropped("damaged") == 5
+    assert harness.rejected("damaged") == 5
     assert harness.send_episode(0) == ""
     assert harness.pull_seeds(1) == [0]
 
@@ -202,9 +203,10 @@ def test_received_is_dropped_plus_taken_plus_queued() -> None:
         harness.send_episode(sequence, actor="b", incarnation=1, policy_version=version)
     harness.send_episode(0, actor="b")
     taken = len(harness.pull_seeds(2))
-    reasons = ("stale", "duplicate", "fenced", "over_credit", "stale_queued")
-    dropped = sum(harness.dropped(reason) for reason in reasons)
-    assert harness.count("received") == 11 == taken + dropped + harness.admission.queued
+    dropped = sum(harness.dropped(reason) for reason in DROPPED)
+    rejected = sum(harness.rejected(reason) for reason in REJECTED)
+    assert harness.count("received") == 11 == taken + dropped + rejected + harness.admission.queued
+    assert harness.count("taken") == taken
 
 
 def test_policy_and_reward_lag_of_taken_episodes_are_observed() -> None:

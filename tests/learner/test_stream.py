@@ -51,8 +51,8 @@ def open_uplink(
     return Uplink(address, run=run, actor=actor, incarnation=incarnation, counter=counter, limits=limits)
 
 
-def dropped(metrics: Metrics, reason: str) -> float:
-    return metrics.registry.get_sample_value("giirl_trajectories_dropped_total", {"reason": reason}) or 0.0
+def lost(metrics: Metrics) -> float:
+    return metrics.registry.get_sample_value("giirl_trajectories_lost_total") or 0.0
 
 
 def port_of(ingest: Ingest) -> int:
@@ -181,7 +181,7 @@ def test_a_replaced_actor_cannot_finish_episodes_and_those_it_did_not_deliver_ar
             new.submit(episode(1, seed=2))
             with pytest.raises(Refused, match="incarnation 1 has taken over"):
                 old.submit(episode(1))
-            until(lambda: dropped(metrics, "lost") == 2, new)
+            until(lambda: lost(metrics) == 2, new)
             with pytest.raises(Refused, match=r"actor 'a', incarnation 0, .*fenced"):
                 until(lambda: False, old)
             assert new.flush(WAIT_S)
@@ -210,7 +210,7 @@ def test_the_undelivered_episodes_of_an_actor_that_leaves_at_once_are_counted_as
             uplink.submit(episode(1))
         until(lambda: uplink.unacked == 2, uplink)
         uplink.close()
-        until(lambda: dropped(metrics, "lost") == 2)
+        until(lambda: lost(metrics) == 2)
         assert ingest.queued == 1
 
 
@@ -251,7 +251,8 @@ def test_junk_on_the_socket_is_dropped_and_stops_nothing() -> None:
             uplink.submit(episode(1, seed=6))
             assert uplink.flush(WAIT_S)
             assert [e.trajectory.seed for e in ingest.take(1, WAIT_S)] == [6]
-    assert dropped(metrics, "damaged") == 3
+    damaged = metrics.registry.get_sample_value("giirl_trajectories_rejected_total", {"reason": "damaged"})
+    assert damaged == 3
 
 
 def test_an_episode_is_sent_again_only_once_it_is_certain_that_it_was_lost() -> None:

@@ -173,6 +173,41 @@ def test_requests_of_a_dead_replica_go_to_another() -> None:
     assert {key: version for key, _, version in results} == dict.fromkeys(range(10), 3)
 
 
+def test_a_silent_replica_is_left_at_once_and_used_again_when_it_answers() -> None:
+    with closing(Router()) as silent, serving(RewardService(load)) as alive:
+        alive.set_weights(Weights.with_digest(3, b"4"))
+        client = ScoreClient([silent.address], identity="a", timeout_s=0.3, retries=1)
+        with closing(client):
+            for key in range(5):
+                client.submit(key, trajectory(1))
+            receive_request(client, silent)
+            client.set_replicas([silent.address, alive.address])
+            # When the first of the five has waited too long, all of them go to the other one.
+            results = poll_results(client, 5)
+            assert {key: version for key, _, version in results} == dict.fromkeys(range(5), 3)
+            while silent.recv(0.0):
+                continue
+            for key in range(50):
+                client.submit(key, trajectory(1))
+            assert len(poll_results(client, 50)) == 50
+            numbers = {scoring.read_request(wire.decode(m[1])[0]) for _ in range(50) if (m := silent.recv(0.0))}
+            assert len(numbers) <= 1  # a probe, for which nobody waits
+            assert client.answering
+            peer, number = receive_request(client, silent)
+            client.set_replicas([silent.address])
+            assert not client.answering
+            silent.send(peer, scoring.encode_reply(ScoreReply(request=number, version=2)))
+            until(lambda: not client.poll() and client.answering)
+
+
+def test_without_any_replica_that_answers_the_client_says_so() -> None:
+    with closing(ScoreClient([], identity="a")) as client:
+        assert not client.answering
+    with closing(ScoreClient(["127.0.0.1:1"], identity="a", timeout_s=0.1, retries=3)) as client:
+        client.submit("k", trajectory(1))
+        until(lambda: not client.poll() and not client.answering)
+
+
 def test_pending_requests_go_to_the_new_replicas_after_a_change_of_addresses() -> None:
     with closing(Router()) as gone, serving(RewardService(load)) as new:
         new.set_weights(Weights.with_digest(3, b"4"))

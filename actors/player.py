@@ -1,0 +1,94 @@
+"""Plays a fixed number of pages of each task: for demonstrations, for evaluation and for the random baseline."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from actors.agents import Agent, ExpertAgent, PolicyAgent, RandomAgent
+from actors.browser import open_browser
+from actors.rollouts import play_pages
+from browser_farm.mixed import expert_of
+from giirl_core.config import Config
+from giirl_core.metrics import Metrics
+from giirl_core.nets.language import load_vectors
+from giirl_core.nets.parameters import load_net
+from giirl_core.nets.reward import build_policy
+from giirl_core.progress import Job
+from giirl_core.types import Browser, Episode, Purpose
+from giirl_core.weights import Weights
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AgentSpec:
+    """Which agent plays. It can be sent to another process."""
+
+    kind: Literal["expert", "random", "greedy"]
+    policy: Weights | None = None  # of the greedy policy
+
+
+class Player(Protocol):
+    """Plays pages with an agent."""
+
+    def play(
+        self,
+        spec: AgentSpec,
+        purpose: Purpose,
+        pages: int,
+        *,
+        tasks: Sequence[str] = (),
+        first: int = 0,
+        job: Job | None = None,
+    ) -> list[Episode]:
+        """Play the pages `first` to `first + pages - 1` of each task, with the seeds of `purpose`, in any order.
+
+        Empty `tasks` means all tasks of the config.
+        """
+        ...
+
+
+OpenPlayer = Callable[[Config, Metrics], AbstractContextManager[Player]]
+
+
+def build_agent(spec: AgentSpec, config: Config) -> Agent:
+    """The agent that a spec describes."""
+    if spec.kind == "expert":
+        return ExpertAgent(expert_of)
+    if spec.kind == "random":
+        return RandomAgent()
+    assert spec.policy is not None
+    net = build_policy(config)
+    load_net(net, spec.policy)
+    return PolicyAgent(net, load_vectors(config.net.vectors), version=spec.policy.version, greedy=True)
+
+
+class BrowserPlayer:
+    """Plays in one browser of this process."""
+
+    def __init__(self, config: Config, browser: Browser, metrics: Metrics) -> None:
+        self._config, self._browser, self._metrics = config, browser, metrics
+
+    def play(
+        self,
+        spec: AgentSpec,
+        purpose: Purpose,
+        pages: int,
+        *,
+        tasks: Sequence[str] = (),
+        first: int = 0,
+        job: Job | None = None,
+    ) -> list[Episode]:
+        """See `Player.play`."""
+        config, agent = self._config, build_agent(spec, self._config)
+        return play_pages(
+            config, self._browser, agent, purpose, pages, self._metrics, tasks=tasks, first=first, job=job
+        )
+
+
+@contextmanager
+def open_browser_player(config: Config, metrics: Metrics) -> Iterator[Player]:
+    """A player with a browser of its own in this process."""
+    with closing(open_browser(config, metrics)) as browser:
+        yield BrowserPlayer(config, browser, metrics)

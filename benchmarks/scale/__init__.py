@@ -1,0 +1,1 @@
+"""How learning and cost scale with actors, browsers and nodes."""
