@@ -9,6 +9,7 @@ from giirl_core import lazy_exports
 
 __all__ = [
     "Config",
+    "LearnedReward",
     "RunFolder",
     "evaluate",
     "load_config",
@@ -22,6 +23,7 @@ __all__ = [
 # Where each public name is defined
 _MODULES = {
     "Config": "giirl_core.config",
+    "LearnedReward": "giirl.run.api",
     "RunFolder": "giirl.run.folder",
     "evaluate": "giirl.run.api",
     "load_config": "giirl_core.config_file",
@@ -33,7 +35,7 @@ _MODULES = {
 }
 
 if TYPE_CHECKING:
-    from giirl.run.api import evaluate, load_policy, load_reward, train
+    from giirl.run.api import LearnedReward, evaluate, load_policy, load_reward, train
     from giirl.run.folder import RunFolder
     from giirl_core.config import Config
     from giirl_core.config_file import load_config

