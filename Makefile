@@ -77,7 +77,7 @@ $(STAMP): pyproject.toml constraints.txt
 run: install ## train on the four tasks of the thesis, or with CONFIG
 	@$(BIN)/giirl train $(CONFIG)
 
-# Tests that start Chrome or Ray run one at a time; the others run in parallel.
+# Tests that start Ray, or take long, run one at a time; the others run on all cores, those in Chrome file by file.
 FAST := not chrome and not ray and not slow
 
 test: check test-fast ## run every check and every test, as CI does
