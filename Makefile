@@ -77,11 +77,12 @@ $(STAMP): pyproject.toml constraints.txt
 run: install ## train on the four tasks of the thesis, or with CONFIG
 	@$(BIN)/giirl train $(CONFIG)
 
-# Tests that start Chrome or Ray run one at a time; the others run in parallel.
+# Tests that start Ray, or take long, run one at a time; the others run on all cores, those in Chrome file by file.
 FAST := not chrome and not ray and not slow
 
 test: check test-fast ## run every check and every test, as CI does
-	@$(BIN)/python -m pytest -m "not ($(FAST))"
+	@$(BIN)/python -m pytest -n logical --dist loadfile -m "chrome and not ray and not slow"
+	@$(BIN)/python -m pytest -m "ray or slow"
 
 test-fast: install ## run the tests that start neither Ray nor Chrome and take seconds
 	@$(BIN)/python -m pytest -n logical -m "$(FAST)"

@@ -118,28 +118,26 @@ class MixedFarm:
         self._farms = (miniwob, sites)
         self._farm_of: dict[int, int] = {}  # tab -> the farm of its episode
         self.tabs = miniwob.tabs
-
-    @property
-    def unopened(self) -> dict[int, str]:
-        """Why the pages of tabs did not open in the last call."""
-        return {
-            tab: reason
-            for number, farm in enumerate(self._farms)
-            for tab, reason in farm.unopened.items()
-            if self._farm_of[tab] == number
-        }
+        self.unopened: dict[int, str] = {}  # a call of this class is up to three of the farms, which forget theirs
 
     def reset(self, episodes: Mapping[int, EpisodeSpec]) -> dict[int, Observation]:
         """Open an episode in each tab."""
+        self.unopened.clear()
+        return self._open(episodes)
+
+    def _open(self, episodes: Mapping[int, EpisodeSpec]) -> dict[int, Observation]:
         opened: dict[int, Observation] = {}
         for number, farm in enumerate(self._farms):
             own = {tab: spec for tab, spec in episodes.items() if is_site(spec.task) == bool(number)}
             self._farm_of |= dict.fromkeys(own, number)
-            opened |= farm.reset(own) if own else {}
+            if own:
+                opened |= farm.reset(own)
+                self.unopened |= farm.unopened
         return opened
 
     def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]:
         """Act in each tab, and open the episodes that follow."""
+        self.unopened.clear()
         results: dict[int, StepResult] = {}
         changing: dict[int, EpisodeSpec] = {}  # to the other farm, once the episode has ended
         for number, farm in enumerate(self._farms):
@@ -151,9 +149,11 @@ class MixedFarm:
                 if command.following is not None and is_site(command.following.task) != bool(number):
                     changing[tab] = command.following
                     own[tab] = replace(command, following=None)
-            results |= farm.step(own) if own else {}
+            if own:
+                results |= farm.step(own)
+                self.unopened |= farm.unopened
         ended = {tab: spec for tab, spec in changing.items() if results[tab].observation is None}
-        for tab, observation in self.reset(ended).items():
+        for tab, observation in self._open(ended).items():
             results[tab] = replace(results[tab], observation=observation)
         return results
 

@@ -27,6 +27,7 @@ class TaskCheck:
     png: bytes
     left_out: int  # elements of the page that an agent does not see
     refused: dict[str, int]  # requests by host and port
+    failing_scripts: tuple[str, ...]  # what the scripts of [end] and [success] throw on the page
 
     def notes(self) -> list[str]:
         """What a user should know about the page, a line each."""
@@ -38,6 +39,7 @@ class TaskCheck:
             )
         if self.refused:
             lines.append(f"refused requests: {', '.join(f'{host} {n}' for host, n in sorted(self.refused.items()))}")
+        lines += [f"{error}; a condition whose script throws does not hold" for error in self.failing_scripts]
         if not self.task.file.end:
             lines.append("without [end], episodes end at the step limit only")
         if not self.task.measured:
@@ -53,6 +55,7 @@ class TaskCheck:
             "elements": [{"tag": tag, "text": text, "value": value} for tag, text, value in rows],
             "left_out": self.left_out,
             "refused": self.refused,
+            "failing_scripts": list(self.failing_scripts),
             "measured": self.task.measured,
         }
 
@@ -71,9 +74,16 @@ def check_task(name: str, seed: int) -> TaskCheck:
         png = farm.screenshot(TAB, (0.0, 0.0, WIDTH, WIDTH * height / width), scale=width / WIDTH)
         left_out = farm.left_out(TAB)
         refused = dict(farm.refused)
+        failing = tuple(farm.failing_scripts(TAB))
     sentences = tuple(dict.fromkeys(draw(task, seed).goal.utterance for seed in seeds))
     return TaskCheck(
-        task=task, instructions=sentences, page=opened[TAB].page, png=png, left_out=left_out, refused=refused
+        task=task,
+        instructions=sentences,
+        page=opened[TAB].page,
+        png=png,
+        left_out=left_out,
+        refused=refused,
+        failing_scripts=failing,
     )
 
 

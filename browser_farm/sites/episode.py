@@ -21,7 +21,7 @@ from browser_farm.sites import outside
 from browser_farm.sites.fields import fill
 from browser_farm.sites.page import CANCEL, OK, WIDTH, decode
 from browser_farm.sites.quiet import settle
-from browser_farm.sites.routines import Routine, TabFailed, Wait, sleep
+from browser_farm.sites.routines import Routine, ScriptThrew, TabFailed, Wait, sleep
 from browser_farm.sites.session import Session
 from browser_farm.sites.task_file import Condition, SiteTask
 from giirl_core.types import Command, EpisodeSpec, Goal, Observation, Page, StepResult, Verb
@@ -59,6 +59,7 @@ class Episode:
         self.drawn = draw(task, spec.seed)
         self.address = fill(address, self.drawn.values, lambda value: quote(value, safe=""))
         self.left_out = 0  # elements of the last page that were not shown
+        self.script_error = ""  # of the last condition whose script threw
         self._scale = WIDTH / task.file.viewport[0]
         self._next_ref = 1
 
@@ -170,7 +171,7 @@ class Episode:
     # ---- the end
 
     def holds(self, condition: Condition) -> Routine[bool]:
-        """Whether everything that the condition names holds."""
+        """Whether everything that the condition names holds. A script that throws does not: `script_error` is why."""
         if condition.address and not fnmatch.fnmatchcase(self.session.address, self._pattern(condition.address)):
             return False
         if condition.selector:
@@ -178,7 +179,11 @@ class Episode:
             if not found:
                 return False
         if condition.script:
-            return bool((yield from self.session.evaluate(self._script(condition.script), in_page=True)))
+            try:
+                return bool((yield from self.session.evaluate(self._script(condition.script), in_page=True)))
+            except ScriptThrew as error:
+                self.script_error = str(error)
+                return False
         return True
 
     def _reward(self, *, done: bool) -> Routine[float]:
@@ -195,6 +200,16 @@ class Episode:
                 raise TabFailed("outside", f"success.request was answered with status {status}")
             won = status != FAILED_STATUS
         return 1.0 if won else -float(done)
+
+    def failing_scripts(self) -> Routine[list[str]]:
+        """What the scripts of [end] and [success] throw on the present page."""
+        errors: list[str] = []
+        for name, condition in (("end", self.task.file.end), ("success", self.task.file.success)):
+            self.script_error = ""
+            yield from self.holds(Condition(script=condition.script))
+            if self.script_error:
+                errors.append(f"{name}.script: {self.script_error}")
+        return errors
 
     # ---- outside the page
 

@@ -37,7 +37,7 @@ class SiteFarm:
     Every episode has a browser context of its own, which ends with it: no cookie, storage or login outlives an episode.
     A failure costs its episode (`StepResult.lost`) and `on_restart` is called with its cause: those of `ChromeFarm`,
     "unreachable", "not_quiet", or "outside" for a program or a request that failed. `on_count` is called with
-    "elements_left_out" of a large page, "requests_refused" and "file_inputs_refused", and how many.
+    "elements_left_out" of a large page, "requests_refused", "file_inputs_refused" and "script_errors", and how many.
 
     Raises ValueError for a wrong argument or task, RuntimeError when Chrome does not start.
     """
@@ -137,6 +137,11 @@ class SiteFarm:
         """Elements of a tab's page that are not in its observation."""
         return self._episodes[tab].left_out if tab in self._episodes else 0
 
+    def failing_scripts(self, tab: int) -> list[str]:
+        """What the scripts of [end] and [success] throw on a tab's page."""
+        outcome = self._run({tab: self._episodes[tab].failing_scripts()}).get(tab)
+        return outcome if isinstance(outcome, list) else []
+
     def close(self) -> None:
         """End Chrome and the servers of the farm."""
         self._end_chrome()
@@ -167,6 +172,9 @@ class SiteFarm:
             self._on_count("elements_left_out", self._episodes[tab].left_out)
         if outcome.reason == FILES_REFUSED:
             self._on_count("file_inputs_refused", 1)
+        if self._episodes[tab].script_error:
+            self._on_count("script_errors", 1)
+            self._episodes[tab].script_error = ""
         if outcome.observation is None:
             self._end(tab)
         return outcome

@@ -34,6 +34,10 @@ class TabFailed(Exception):
         self.failure = Failure(cause=cause, message=message)
 
 
+class ScriptThrew(TabFailed):
+    """A script of a task file threw an exception in the page."""
+
+
 def sleep(seconds: float) -> Routine[None]:
     """Wait while other routines and messages go on."""
     yield Wait(lambda: False, time.monotonic() + seconds)

@@ -10,7 +10,7 @@ from browser_farm import pages
 from browser_farm.chrome.devtools import BROWSER, DevTools, Json
 from browser_farm.sites.origins import origin_of, proxy_bypass
 from browser_farm.sites.page import Dialog
-from browser_farm.sites.routines import Routine, TabFailed, Wait
+from browser_farm.sites.routines import Routine, ScriptThrew, TabFailed, Wait
 from browser_farm.sites.traffic import Traffic
 
 WORLD = "giirl"  # the world in which our scripts run
@@ -220,7 +220,8 @@ class Session:
         if "exceptionDetails" in result:
             details = result["exceptionDetails"]
             message = str(details.get("exception", {}).get("description", details.get("text", "")))
-            raise TabFailed("page_error", f"{expression[:80]}: {message.splitlines()[0] if message else ''}")
+            failed = ScriptThrew if in_page else TabFailed
+            raise failed("page_error", f"{expression[:80]}: {message.splitlines()[0] if message else ''}")
         return result["result"].get("value")
 
     def _browser(self, method: str, params: Mapping[str, Any]) -> Routine[Json]:

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from actors.agents import ExpertAgent
-from actors.browser import open_browser
-from actors.rollouts import play_pages
-from browser_farm.mixed import expert_of
+from actors.player import AgentSpec, open_browser_player
 from giirl.statistics import goal_sensitivity
 from giirl_core.config import Config
 from giirl_core.goals import is_held_out
@@ -57,10 +53,10 @@ def sensitivity(config: Config, reward: Weights, pages: int, metrics: Metrics, d
 def _play_expert(config: Config, pages: int, metrics: Metrics, display: Display) -> list[Trajectory]:
     """Successful episodes of the scripted experts on pages that training and evaluation never use."""
     with (
-        closing(open_browser(config, metrics)) as browser,
+        open_browser_player(config, metrics) as player,
         display.job("playing expert pages", pages * len(config.tasks)) as job,
     ):
-        played = play_pages(config, browser, ExpertAgent(expert_of), Purpose.INSPECT, pages, metrics, job=job)
+        played = player.play(AgentSpec(kind="expert"), Purpose.INSPECT, pages, job=job)
     won = [episode.trajectory for episode in played if episode.outcome.success]
     return sorted(won, key=lambda trajectory: trajectory.seed)
 

@@ -110,7 +110,6 @@ def test_stateful_pages_keep_state_when_they_are_not_reloaded(
     episodes = {tab: EpisodeSpec(task=name, seed=7) for tab, name in enumerate(names)}
     chrome.reset({tab: EpisodeSpec(task="click-test", seed=0) for tab in episodes})
     fresh = content_of_episodes(chrome, episodes)
-    assert content_of_episodes(chrome, episodes) == fresh
     monkeypatch.setattr("browser_farm.farm.needs_fresh_document", lambda task: False)
     stateful: set[str] = set()
     for number in range(MAX_ROUNDS):

@@ -48,6 +48,28 @@ def test_an_episode_that_goes_on_keeps_its_tab() -> None:
     assert result.observation.episode == MINIWOB
 
 
+class Closing(SiteStub):
+    """A farm of task files whose pages in the tabs `closed` do not open."""
+
+    closed: frozenset[int] = frozenset()
+
+    def reset(self, episodes: Mapping[int, EpisodeSpec]) -> dict[int, Observation]:
+        self.unopened = {tab: f"the page of tab {tab} is closed" for tab in episodes if tab in self.closed}
+        return super().reset({tab: spec for tab, spec in episodes.items() if tab not in self.closed})
+
+
+def test_the_reason_why_a_page_did_not_open_holds_for_its_call_and_no_longer() -> None:
+    sites = Closing(tabs=2)
+    farm = MixedFarm(FakeFarm(tabs=2), sites)
+    farm.reset({0: MINIWOB, 1: SITE})
+    sites.closed = frozenset({1})
+    # In one call the next page of tab 1 does not open, and then tab 0 comes to the same farm.
+    farm.step({tab: Command(verb=Verb.CLICK, ref=0, following=SITE) for tab in (0, 1)})
+    assert farm.unopened == {1: "the page of tab 1 is closed"}
+    farm.reset({0: MINIWOB})
+    assert farm.unopened == {}
+
+
 def test_miniwob_tasks_are_checked_by_name_and_have_their_experts() -> None:
     check_task("click-button")
     assert callable(expert_of("click-button"))

@@ -71,7 +71,7 @@ def test_the_image_has_its_user_its_health_check_and_a_first_process(container: 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_short_training_runs_in_the_image_with_its_own_chrome(container: str) -> None:
-    assert "MISSING" not in inside(container, "giirl", "doctor")
+    assert "MISSING" not in inside(container, "giirl", "doctor", GIIRL_CHROME_SANDBOX="off")
     inside(container, *TRAIN, "run=/runs/short", timeout_s=600, GIIRL_CHROME_SANDBOX="off")
     result = json.loads(inside(container, "cat", "/runs/short/result.json"))
     assert result["tasks"]["click-test-2"]["episodes"] == 4

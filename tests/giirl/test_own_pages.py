@@ -61,6 +61,8 @@ def test_the_check_of_a_task_file_shows_instructions_and_elements(task: Path, tm
     found = json.loads(report.read_text())
     assert {"tag": "input_text", "text": "Name", "value": ""} in found["elements"]
     assert (found["left_out"], found["measured"], found["refused"]) == (0, True, {})
+    assert [error.split(":")[0] for error in found["failing_scripts"]] == ["success.script"]
+    assert "a condition whose script throws does not hold" in output
     assert shot.read_bytes().startswith(b"\x89PNG")
 
 

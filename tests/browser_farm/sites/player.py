@@ -25,6 +25,8 @@ TASKS = {  # besides one for each page
     "none": 'address = "{site}/no-such-page"\n',
     "scripted": 'address = "{site}/form?{{seed}}"\n[begin]\nrequest = "POST /reset?seed={{seed}}"\n'
     "script = \"document.querySelector('h1').textContent = 'Order ' + {{seed}}\"\n",
+    "throws": 'address = "{site}/form"\n[end]\nscript = "document.querySelector(\'#total\').textContent === 1"\n'
+    "[success]\nscript = \"document.querySelector('#total').textContent === 1\"\n",
     "file": 'address = "pages/hello.html?name={{name}}"\n[fields]\nname = ["Ada"]\n',
     "few": 'address = "{site}/many"\nmax_elements = 40\n',
 }

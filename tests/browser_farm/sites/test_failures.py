@@ -67,3 +67,10 @@ def test_after_chrome_was_killed_another_one_plays_on(player: Player) -> None:
     for result in results.values():
         row_of(after(result), "Other page")
     assert "browser_died" in player.causes
+
+
+def test_a_condition_whose_script_throws_does_not_hold_and_is_counted(player: Player) -> None:
+    seen = player.open("throws")
+    result = player.act(Verb.CLICK, ref_of(seen, "green"), last=True)
+    assert (result.raw_reward, result.done, result.lost) == (0.0, False, "")
+    assert player.counts["script_errors"] == 1
