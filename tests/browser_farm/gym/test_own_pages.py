@@ -84,6 +84,7 @@ def test_a_task_file_is_played_in_the_package_s_format(folder: Path) -> None:
 
 
 @pytest.mark.chrome
+@pytest.mark.filterwarnings("ignore:.*Box action spaces")  # the package's own coordinates are pixels
 def test_a_task_file_without_success_has_no_reward_and_info_says_so(folder: Path) -> None:
     made = gymnasium.make("giirl/MiniWoB-v0", task=str(folder / "unmeasured.toml"))
     env: Any = made.unwrapped
