@@ -57,8 +57,9 @@ class Recorder:
     ) -> Episode | None:
         """Open a page, pass its instruction to `show_instruction`, and wait for the end of the episode.
 
-        The page shows its instruction itself, and neither `progress` nor `note`. Returns None for an episode without an action. The person may take any time; only calls to the page have a
-        deadline. Interrupted if the person left the page; BrowserGone if the tab or Chrome was closed.
+        The page shows its instruction itself, and neither `progress` nor `note`. Returns None for an episode without an
+        action. The person may take any time; only calls to the page have a deadline. Interrupted if the person left the
+        page; BrowserGone if the tab or Chrome was closed.
         """
         goal = self._open(spec)
         show_instruction(goal.utterance)

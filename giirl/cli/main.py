@@ -20,6 +20,7 @@ from giirl.cli.bench import bench
 from giirl.cli.demos import demos
 from giirl.cli.operate import clean, status, stop
 from giirl.cli.options import JSON, RUN, Place, place, save_and_show
+from giirl.cli.play import play
 from giirl.cli.report import report
 from giirl.cli.reproduce import reproduce
 from giirl.cli.reproduce_web import commands
@@ -151,6 +152,7 @@ giirl.add_command(clean)
 giirl.add_command(status)
 giirl.add_command(stop)
 giirl.add_command(demos)
+giirl.add_command(play)
 giirl.add_command(reproduce)
 giirl.add_command(report)
 giirl.add_command(reward)

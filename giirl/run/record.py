@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import itertools
-import os
-import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from typing import Protocol
 
 from browser_farm.chrome.devtools import BrowserGone
+from browser_farm.chrome.launcher import check_screen
 from browser_farm.human.recorder import Recorder
 from browser_farm.human.site_recorder import SiteRecorder
 from browser_farm.human.steps import Interrupted
@@ -41,8 +40,7 @@ def record(
         check_task(task)
         if task.startswith("flight."):
             raise ValueError(f"{task} cannot be recorded: its site is in a frame, wanted a task with a single page")
-    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ValueError("there is no screen: DISPLAY is not set, wanted a desktop or xvfb-run")
+    check_screen()
     return _recorded(tasks, per_task, seed, display, have)
 
 
