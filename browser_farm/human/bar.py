@@ -10,7 +10,7 @@ from browser_farm import pages
 from browser_farm.chrome.devtools import BROWSER, DevTools, Json
 
 BINDING = "giirlChoose"  # as in bar.js
-HEIGHT = 190  # px
+HEIGHT = 300  # px, with the tabs and the address of its window
 FRAME = 24, 110  # px of the page's window around the page: its border, its tabs and address
 
 

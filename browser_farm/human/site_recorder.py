@@ -161,8 +161,8 @@ class SiteRecorder:
         """Wait until the page has ended the episode, None, or the person has said something about it."""
         session, end, refused = episode.session, episode.task.file.end, 0
         while True:
-            actions = f"{progress}, {len(self._steps)} actions so far"
-            self._bar.show(actions, episode.drawn.goal.utterance, note, ON_THE_WAY)
+            shown = f"{progress}; actions so far: {len(self._steps)}"
+            self._bar.show(shown, episode.drawn.goal.utterance, note, ON_THE_WAY)
             choice = yield from self._choice(time.monotonic() + POLL_S)
             if choice is not None:
                 return choice

@@ -56,19 +56,20 @@ class SiteSteps:
         else:
             page, hidden = self._steps[key].step.page, self._steps[key].hidden
         *step, is_password = row
-        self._steps[key] = Recorded(step=self._step(page, step), hidden=tuple(hidden), is_password=bool(is_password))
+        made = self._step(page, step, document)
+        self._steps[key] = Recorded(step=made, hidden=tuple(hidden), is_password=bool(is_password))
 
     def answer(self, dialog: Dialog, *, accepted: bool, text: str) -> None:
         """Add the answer to a dialog. `text` is what its field held."""
         if dialog.kind == "prompt" and accepted and text != dialog.text:
-            self._add_dialog_step(dialog, Verb.TYPE, "input_text", text)
+            self._add_dialog_step(dialog, Verb.TYPE, ("input_text", dialog.message), text)
             dialog = replace(dialog, text=text, typed=True)
-        self._add_dialog_step(dialog, Verb.CLICK, OK if accepted else CANCEL)
+        self._add_dialog_step(dialog, Verb.CLICK, ("button", OK if accepted else CANCEL))
 
-    def _add_dialog_step(self, dialog: Dialog, verb: Verb, name: str, text: str = "") -> None:
-        """A step on the row of a dialog that has this tag or text."""
+    def _add_dialog_step(self, dialog: Dialog, verb: Verb, element: tuple[str, str], text: str = "") -> None:
+        """A step on the row of a dialog that has this tag and text."""
         page = dialog.page(FIRST_REF)
-        row = next(row for row in range(len(page)) if name in (page.tag[row], page.text[row]))
+        row = list(zip(page.tag, page.text, strict=True)).index(element)
         left, top, width, height = map(float, page.box[row])
         middle = (left + width / 2, top + height / 2)
         step = Step(page=page, verb=verb, ref=int(page.ref[row]), text=text, at=middle, by=(0.0, 0.0))
@@ -79,10 +80,10 @@ class SiteSteps:
         quiet, self._quiet = self._quiet, None
         return quiet if quiet is not None and _same(quiet, page) else page
 
-    def _step(self, page: Page, row: list[Any]) -> Step:
+    def _step(self, page: Page, row: list[Any], document: int) -> Step:
         verb, ref, text, *lengths = row
         x, y, dx, dy = (float(length) * self._scale for length in lengths)
-        return Step(page=page, verb=Verb(verb), ref=int(ref), text=str(text), at=(x, y), by=(dx, dy))
+        return Step(page=page, verb=Verb(verb), ref=int(ref), text=str(text), at=(x, y), by=(dx, dy), document=document)
 
 
 def _same(one: Page, other: Page) -> bool:

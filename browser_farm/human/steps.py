@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,6 +45,7 @@ class Step:
     text: str  # what a field holds after typing, or the key
     at: tuple[float, float]  # of the mouse on the page
     by: tuple[float, float]
+    document: int | None = None  # of the page, if the page does not say itself what was acted on (`Page.tampered`)
 
 
 def episode_of(spec: EpisodeSpec, goal: Goal, steps: Sequence[Step], outcome: Outcome) -> Episode | None:
@@ -58,11 +59,18 @@ def episode_of(spec: EpisodeSpec, goal: Goal, steps: Sequence[Step], outcome: Ou
 
     kept_pages: list[Page] = []
     actions: list[Action] = []
+    acted: dict[int, set[int]] = {}  # document -> refs
     for step, following in zip(steps, [*steps[1:], None], strict=True):
         action = action_of(step, find, following.page if following is not None else None)
-        if action is not None:
-            kept_pages.append(step.page)
-            actions.append(action)
+        if action is None:
+            continue
+        page = step.page
+        if step.document is not None:
+            refs = acted.setdefault(step.document, set())
+            page = replace(page, tampered=np.isin(page.ref, list(refs)))
+            refs |= _acted_on(page, action)
+        kept_pages.append(page)
+        actions.append(action)
     if not actions:
         return None
     trajectory = Trajectory(
@@ -76,6 +84,16 @@ def episode_of(spec: EpisodeSpec, goal: Goal, steps: Sequence[Step], outcome: Ou
         policy_version=DEMONSTRATION,
     )
     return Episode(trajectory=trajectory, outcome=outcome)
+
+
+def _acted_on(page: Page, action: Action) -> set[int]:
+    """The refs of what an action leaves its mark on: its element, and the list of an option."""
+    if action.element < 0:
+        return set()
+    rows = [action.element]
+    if page.tag[action.element] == "option" and page.parent[action.element] >= 0:
+        rows.append(int(page.parent[action.element]))
+    return {int(page.ref[row]) for row in rows}
 
 
 def action_of(step: Step, find: FindSpan, next_page: Page | None) -> Action | None:

@@ -17,8 +17,9 @@ const person = (host) => {
   const { setTimeout } = window;  // real time: clock.js replaces it later
 
   let steps = [];
-  let down = null;    // where the mouse button was pressed: {page, target, x, y, scrolls, size, dragged, selected}
+  let down = null;    // where the mouse button was pressed: {page, target, x, y, scrolls, size, dragged}
   let typing = null;  // the field that is being typed into: {field, before, keys, first}
+  let choosing = null;  // the list in which something is being chosen, and the page before: {select, page, selected}
   // The step that may make the browser generate a click: a click on a label, or a key. Reset once its event is handled.
   let cause = null;
   const handled = new WeakSet();  // events
@@ -101,11 +102,12 @@ const person = (host) => {
   function onMouseDown(event) {
     if (event.button !== 0) return;
     endTyping();
-    const target = targetOf(event), select = selectOf(target);
+    const target = targetOf(event);
     down = {
       ...step(CLICK, target, placeOf(event, target)), scrolls: scrollPositions(target), size: sizeOf(target),
-      dragged: false, selected: select ? new Set(select.selectedOptions) : null,
+      dragged: false,
     };
+    if (selectOf(target)) startChoosing(selectOf(target), down.page);
   }
 
   function onMouseUp(event) {
@@ -143,17 +145,21 @@ const person = (host) => {
     }
   }
 
+  function startChoosing(select, page, selected = select.selectedOptions) {
+    choosing = { select, page, selected: new Set(selected) };
+  }
+
   function onChange(event) {
     const target = targetOf(event);
     if (!named(target, 'select')) return;
     endTyping();
-    const before = down !== null && down.selected ? down : { ...step(CLICK, target), selected: new Set() };
+    if (choosing === null || choosing.select !== target) startChoosing(target, host.read(), []);
+    const { page, selected } = choosing;
     for (const option of target.options) {
-      const clicked = target.multiple ? option.selected !== before.selected.has(option) : option.selected;
-      if (clicked) push({ ...step(CLICK, option), page: before.page });
+      const clicked = target.multiple ? option.selected !== selected.has(option) : option.selected;
+      if (clicked) push({ ...step(CLICK, option), page });
     }
-    before.selected = new Set(target.selectedOptions);
-    before.page = host.read();
+    startChoosing(target, host.read());
   }
 
   // Only in text areas: elsewhere scrolling is not needed, since actions reach elements that are out of view.
@@ -174,6 +180,7 @@ const person = (host) => {
 
   function onKeyDown(event) {
     const { key } = event, target = targetOf(event);
+    if (named(target, 'select')) startChoosing(target, host.read());
     if (MODIFIERS.includes(key) || key === 'Tab' || key === 'CapsLock' || named(target, 'select')) return;
     const held = MODIFIERS.filter((name) => event.getModifierState(name) && (name !== 'Shift' || key.length > 1));
     const isCommand = held.some((name) => name !== 'Shift');

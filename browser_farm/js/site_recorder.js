@@ -11,7 +11,7 @@
 
   // The page's columns, the rows of password fields, and all refs.
   function read() {
-    const [columns, roots] = reading.read(MOST), numbers = columns[4];
+    const [columns, roots] = reading.read(MOST), numbers = columns[5];  // as in sites/page.py
     for (const root of roots) for (const field of root.querySelectorAll('input[type=password]')) passwords.add(field);
     const refs = numbers.filter((_, index) => index % 3 === 0);
     const hidden = refs.flatMap((ref, row) => (passwords.has(reading.nodeOf(ref)) ? [row] : []));
@@ -35,17 +35,10 @@
       const step = one && [one.verb, one.ref, one.text, one.x, one.y, one.dx, one.dy, passwords.has(one.target)];
       const text = JSON.stringify(step), isNewPage = one !== null && one.page !== before.page;
       if (text === before.text && !isNewPage) continue;
-      if (one && one.ref) mark(reading.nodeOf(one.ref));
       giirlStep(JSON.stringify([number, step, isNewPage ? [one.page.columns, one.page.hidden] : null]));
       sent[number] = { text, page: one && one.page };
     }
     sent = sent.slice(0, steps.length);
-  }
-
-  // A policy's actions leave this mark, see site.js.
-  function mark(node) {
-    reading.mark(node);
-    if (reading.named(node, 'option')) reading.mark(node.closest('select'));
   }
 
   const recorded = person({ read, rowOf, offsetOf: reading.offsetOf, isRecording: () => true, changed: send });

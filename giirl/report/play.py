@@ -18,7 +18,8 @@ from giirl_core.types import Action, Browser, Command, EpisodeSpec, Goal, Observ
 
 TAB = 0
 CANDIDATES = 5  # shown of a page
-PAUSE_S = 1.0  # before each action and at the end, where a person watches
+PAUSE_S = 1.0  # before each action, where a person watches
+END_PAUSES = 3  # pauses after the last one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,7 +92,7 @@ class Play:
                 )
             time.sleep(self.pause_s)
             observation = self._act(observation, step.chosen.action)
-        time.sleep(self.pause_s)
+        time.sleep(END_PAUSES * self.pause_s)
 
     @property
     def success(self) -> bool | None:

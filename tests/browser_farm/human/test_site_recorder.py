@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -120,6 +121,8 @@ def play_again(folder: Path, episode: Episode, monkeypatch: pytest.MonkeyPatch) 
         seen = farm.reset({0: EpisodeSpec(task=task, seed=trajectory.seed)})[0]
         for page, action in zip(trajectory.pages, trajectory.actions, strict=True):
             assert (seen.page.tag, seen.page.text) == (page.tag, page.text)
+            assert [value.replace(PASSWORD, "{env:GIIRL_PASSWORD}") for value in seen.page.value] == list(page.value)
+            assert (seen.page.tampered == page.tampered).all()
             assert (seen.page.box == page.box).all()
             result = farm.step({0: Command.of(action, seen)})[0]
             if result.observation is None:
@@ -167,7 +170,7 @@ def test_an_episode_is_discarded_done_again_marked_as_failed_or_said_to_be_done(
         def act(person: Person) -> None:
             person.click("#name")
             person.type(name_in(person))
-            person.read("1 actions so far")
+            person.read("actions so far: 1")
             person.choose(choice)
 
         recorded = record(recorder, spec(folder, "open"), act)
@@ -184,7 +187,7 @@ def test_an_episode_is_discarded_done_again_marked_as_failed_or_said_to_be_done(
         person.type("wrong")
         person.choose("Redo")
         person.look_at_page()
-        person.read(", 0 actions so far")
+        person.read("actions so far: 0")
         person.click("#name")
         person.type(name_in(person))
         person.choose("Done")
@@ -221,18 +224,14 @@ def test_clicks_in_shadow_roots_and_frames_are_clicks_on_what_an_agent_sees_ther
 ) -> None:
     def act(person: Person) -> None:
         person.wait(lambda: person.ask("String(frames[0].document.readyState)") == "complete", "the frame")
-        x, y = person.find("my-card")
-        person.click_at(x if x < 100 else 30, y)
-        person.read("1 actions so far")
-        left, top = person.find("iframe")
+        person.click("my-card")
+        person.read("actions so far: 1")
         place = person.ask("""JSON.stringify((() => { const frame = document.querySelector('iframe');
           const box = frame.getBoundingClientRect(), inner = frame.contentDocument.querySelector('button');
           const own = inner.getBoundingClientRect();
           return [box.left + frame.clientLeft + own.left + 9, box.top + frame.clientTop + own.top + 9]; })())""")
-        x, y = (float(part) for part in place.strip("[]").split(","))
-        assert (x, y) != (left, top)
-        person.click_at(x, y)
-        person.read("2 actions so far")
+        person.click_at(*json.loads(place))
+        person.read("actions so far: 2")
         person.choose("Done")
 
     episode = record(recorder, spec(folder, "parts"), act)
