@@ -11,7 +11,7 @@ from browser_farm.chrome.devtools import BROWSER, DevTools, Json
 
 BINDING = "giirlChoose"  # as in bar.js
 HEIGHT = 300  # px, with the tabs and the address of its window
-FRAME = 24, 110  # px of the page's window around the page: its border, its tabs and address
+FRAME = 24, 160  # px of the page's window around the page: its border, its tabs, address and a notice
 
 
 class Choice(Enum):
@@ -42,7 +42,7 @@ class Bar:
         self._offered: tuple[Choice, ...] = ()
         self.session = ""
         self.session = str(self._call("Target.attachToTarget", {"targetId": target, "flatten": True})["sessionId"])
-        frame = self._call("Page.getFrameTree", {})["frameTree"]["frame"]["id"]
+        frame = self._call("Page.navigate", {"url": "about:blank"})["frameId"]
         empty = "<!DOCTYPE html><html lang=en><head></head><body></body></html>"
         self._call("Runtime.addBinding", {"name": BINDING})
         self._call("Page.setDocumentContent", {"frameId": frame, "html": empty})

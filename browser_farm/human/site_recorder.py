@@ -30,6 +30,8 @@ OPEN_ATTEMPTS = 2  # the second is for an application that restarts
 TAB = 0
 GONE = "tab_crashed"  # cause of a failure: the window was closed, too
 BINDING = {"name": "giirlStep", "executionContextName": WORLD}  # of site_recorder.js
+# Chrome adds bindings to the contexts that it reports.
+CALLS: Sequence[tuple[str, Json]] = (("Runtime.enable", {}), ("Runtime.addBinding", BINDING))
 LISTEN = "window.giirlRecorder ? (giirlRecorder.listen(), true) : false"
 PASSING = frozenset({"not_quiet", "unreachable"})  # causes that a person can wait for, or do something about
 FAILED = -1.0  # raw reward
@@ -129,7 +131,7 @@ class SiteRecorder:
             self._leave()
             most = self._browser.tasks[spec.task].file.max_elements
             script = "\n".join([f"const MOST = {most};", *map(pages.source, ("person", "site_recorder"))])
-            episode, opening = self._browser.begin(spec, script, [("Runtime.addBinding", BINDING)])
+            episode, opening = self._browser.begin(spec, script, CALLS)
             self._session = episode.session
             opened = run_all(self._browser.tools, {TAB: opening})[TAB]
             if not isinstance(opened, Failure):

@@ -60,7 +60,8 @@ def episode_of(spec: EpisodeSpec, goal: Goal, steps: Sequence[Step], outcome: Ou
     kept_pages: list[Page] = []
     actions: list[Action] = []
     acted: dict[int, set[int]] = {}  # document -> refs
-    for step, following in zip(steps, [*steps[1:], None], strict=True):
+    for number, step in enumerate(steps):
+        following = steps[number + 1] if number + 1 < len(steps) else None
         action = action_of(step, find, following.page if following is not None else None)
         if action is None:
             continue

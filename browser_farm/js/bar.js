@@ -2,7 +2,6 @@
 (() => {
   'use strict';
 
-  document.title = 'Recording';
   const style = document.createElement('style');
   style.textContent = `
     body { font: 16px/1.4 system-ui, sans-serif; margin: 0; padding: 12px 16px; color: #1b1b1b; background: #fff8e1; }
@@ -12,6 +11,7 @@
     button { font: inherit; padding: 6px 14px; margin: 0 8px 6px 0; }
     @media (prefers-color-scheme: dark) { body { color: #f3f3f3; background: #2b2415; } #note { color: #ffb59b; } }`;
   document.head.replaceChildren(style);
+  document.title = 'Recording';
 
   const add = (tag, id) => document.body.appendChild(Object.assign(document.createElement(tag), { id }));
   document.body.replaceChildren();

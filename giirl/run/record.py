@@ -47,9 +47,9 @@ def record(
 def _recorded(
     tasks: Sequence[str], per_task: int, seed: int, display: Display, have: Sequence[Episode]
 ) -> Iterator[Episode]:
-    for wants_sites, group in itertools.groupby(tasks, is_site):
+    for _, group in itertools.groupby(tasks, is_site):
         own = list(group)
-        with closing(SiteRecorder(own) if wants_sites else Recorder()) as recorder:
+        with closing(open_recorder(own)) as recorder:
             for task in own:
                 seen = {e.trajectory.seed for e in have if e.trajectory.task == task}
                 seeds = (page_seed(Purpose.DEMONSTRATE, seed, index) for index in itertools.count())
@@ -60,6 +60,11 @@ def _recorded(
                     display.say(f"passwords are not stored: set {names} to play these demonstrations again")
                 if not complete:
                     return
+
+
+def open_recorder(tasks: Sequence[str]) -> Recorder | SiteRecorder:
+    """The recorder of tasks of one kind: its windows are open."""
+    return SiteRecorder(tasks) if is_site(tasks[0]) else Recorder()
 
 
 def watch(

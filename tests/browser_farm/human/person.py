@@ -27,13 +27,21 @@ class Person(Hand):
         self._bar_target = chrome.first_target
         self._bar = self._attach(chrome.first_target)
         self._page, self._page_target = "", ""
+        self._recorder = recorder
 
     def look_at_page(self) -> None:
-        """Turn to the page that is open now."""
-        self.wait(lambda: bool(self._pages()) and self._pages()[0] != self._page_target, "a page")
-        self._page_target = self._pages()[0]
+        """Turn to the next page, and wait until it is open."""
+        old, found = self._page_target, [self._page_target]
+
+        def is_there() -> bool:
+            found[:] = [page for page in self._pages() if page != old]
+            return bool(found)
+
+        self.wait(is_there, "a page")
+        self._page_target = found[0]
         self._page = self._attach(self._page_target)
         self.tools.call(self._page, "Page.enable", timeout_s=5.0)
+        self.read("actions so far")
 
     def bar(self) -> str:
         """All text of the bar."""
@@ -50,6 +58,15 @@ class Person(Hand):
         """Wait until the page has such an element."""
         found = f"String(document.querySelector({json.dumps(selector)}) !== null)"
         self.wait(lambda: self.ask(found) == "true", selector)
+
+    def look_around(self, text: str) -> None:
+        """Wait until the page is quiet, as a person does before acting: until the recorder has seen this text on it."""
+
+        def seen() -> bool:
+            quiet = self._recorder._steps._quiet
+            return quiet is not None and text in quiet.text
+
+        self.wait(seen, f"a quiet page with {text!r}")
 
     def choose(self, label: str) -> None:
         """Press a button of the bar."""
@@ -121,7 +138,7 @@ def record(recorder: SiteRecorder, spec: EpisodeSpec, act: Callable[[Person], No
             act(person)
         except BaseException as error:  # noqa: BLE001 - it is raised again in the test's own thread
             failures.append(error)
-            person.close_window(of_bar=True)
+            person.close_window(of_bar=not person._page_target)
         finally:
             person.tools.close()
 

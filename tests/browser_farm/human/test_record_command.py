@@ -35,7 +35,7 @@ FEW = ["runtime=serial", "net.vectors=hashed", "net.width=8", "iterations=1", "r
 def task(tmp_path: Path) -> str:
     (tmp_path / "guests.html").write_text(PAGE)
     (tmp_path / "guests.toml").write_text(TASK)
-    return "guests.toml"
+    return str(tmp_path / "guests.toml")
 
 
 class Hands:
@@ -45,7 +45,7 @@ class Hands:
         self.act: Callable[[Person], None] = lambda person: None
         self.failures: list[BaseException] = []
         monkeypatch.setattr("giirl.run.record.check_screen", lambda: None)
-        monkeypatch.setattr("giirl.run.record.SiteRecorder", self.open)
+        monkeypatch.setattr("giirl.run.record.open_recorder", self.open)
 
     def open(self, tasks: Sequence[str]) -> SiteRecorder:
         recorder = SiteRecorder(tasks, headless=True)
@@ -133,10 +133,9 @@ def test_a_page_that_does_not_open_is_one_line_and_nothing_is_recorded(
     address: str, more: str, message: str, giirl: Command, task: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     Hands(monkeypatch)
-    (tmp_path / "bad.toml").write_text(
-        f'address = "{address}"\ninstructions = "Do it."\n{more}[wait]\ndeadline_s = 1\n'
-    )
-    answer = giirl("demos", "record", "--task", "bad.toml", "--out", "mine.giirl")
+    bad = tmp_path / "bad.toml"
+    bad.write_text(f'address = "{address}"\ninstructions = "Do it."\n{more}[wait]\ndeadline_s = 1\n')
+    answer = giirl("demos", "record", "--task", bad, "--out", "mine.giirl")
     assert message in answer.error
     assert not (tmp_path / "mine.giirl").exists()
 
