@@ -40,7 +40,8 @@ class Passwords:
         """The steps without passwords. `values` are those of the fields that the instruction was drawn from."""
         typed = {one.step.text for one in recorded if one.is_password and one.step.verb is Verb.TYPE and one.step.text}
         stored = {password: self._reference(password, goal, values) for password in sorted(typed)}
-        secrets = {password: reference for password, reference in stored.items() if password != reference}
+        longest_first = sorted(stored.items(), key=lambda pair: -len(pair[0]))  # one may be the beginning of another
+        secrets = {password: reference for password, reference in longest_first if password != reference}
         shown = {_as_read(password): reference for password, reference in stored.items()}
 
         def in_field(value: str) -> str:
@@ -56,11 +57,11 @@ class Passwords:
 
         def page_of(one: Recorded) -> Page:
             page = one.step.page
-            value = tuple(in_field(v) if row in one.hidden else v for row, v in enumerate(page.value))
+            value = tuple(in_field(v) if row in one.hidden else clean(v) for row, v in enumerate(page.value))
             return replace(
                 page,
                 text=tuple(map(clean, page.text)),
-                value=tuple(map(clean, value)),
+                value=value,
                 classes=tuple(map(clean, page.classes)),
                 attributes=tuple(map(clean, page.attributes)),
             )

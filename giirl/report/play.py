@@ -108,7 +108,7 @@ class Play:
             return "the episode did not end"
         how = "the page ended the episode" if self.result.done else f"the step limit of {self.step_limit} ended it"
         if self.success is not None:
-            return f"{'succeeded' if self.success else 'failed'}: {how} with reward {self.result.raw_reward:g}"
+            return f"{'succeeded' if self.success else 'failed'}: {how} with reward {self.result.raw_reward + 0.0:g}"
         why = "it knows its own instruction only" if self.goal is not None else "the task file has no [success]"
         return f"{how}; the page has no verdict, since {why}"
 

@@ -73,6 +73,12 @@ def test_a_password_is_nowhere_in_clear_however_it_is_shown(password: str) -> No
         assert all(" ".join(password.split())[:200] != text for text in texts)
 
 
+def test_a_password_that_begins_with_another_is_hidden_as_a_whole() -> None:
+    steps = stored([typing("horse"), typing("horse battery", before="horse", beside="horse battery")])
+    assert steps[1].page.text[1] == "{env:GIIRL_PASSWORD_2}"
+    assert "battery" not in str(steps)
+
+
 def test_what_a_password_field_held_on_the_way_is_masked() -> None:
     assert [step.page.value[0] for step in stored([typing("swordfish", before="swor")])] == [MASK]
 
