@@ -104,6 +104,8 @@ def action_of(step: Step, find: FindSpan, next_page: Page | None) -> Action | No
     if step.verb == Verb.CLICK:
         return _click(step.page, row, *step.at, next_page)
     if step.verb == Verb.TYPE:
+        if row >= 0 and not step.page.typable[row]:
+            row = NO_ELEMENT  # a field that is not seen, inside this element: it has the focus
         start, end = find(step.text)
         literal = step.text if start == NO_SPAN else ""
         return Action(verb=Verb.TYPE, element=row, start=start, end=end, literal=literal)

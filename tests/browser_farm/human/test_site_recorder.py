@@ -251,7 +251,7 @@ def test_hostile_text_in_the_bar_is_text(recorder: SiteRecorder, folder: Path) -
     assert record(recorder, spec(folder, "hostile"), act, note="<b>note</b>") is None
 
 
-def test_the_page_neither_has_the_bar_nor_can_tell_that_it_is_recorded(recorder: SiteRecorder, folder: Path) -> None:
+def test_nothing_of_the_bar_or_of_the_recording_is_in_the_page(recorder: SiteRecorder, folder: Path) -> None:
     def act(person: Person) -> None:
         known = "[typeof giirlStep, typeof giirlChoose, typeof giirlRecorder, typeof person].join()"
         assert person.ask(known) == "undefined,undefined,undefined,undefined"

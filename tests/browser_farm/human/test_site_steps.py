@@ -98,6 +98,15 @@ def test_a_date_that_the_page_accepted_is_the_date_of_the_instruction(reward: fl
     assert (episode.trajectory.unlearnable == "") is learnable
 
 
+def test_typing_into_a_field_that_is_not_seen_goes_to_what_has_the_focus_and_is_not_learned() -> None:
+    made = steps()
+    made.take(DOCUMENT, message(0, Verb.TYPE, 4, "Ada", page=columns()))
+    episode = episode_of(SPEC, GOAL, [one.step for one in made.recorded], Outcome(raw_reward=1.0, ended=True))
+    assert episode is not None
+    assert episode.trajectory.actions[0].element == -1
+    assert episode.trajectory.unlearnable
+
+
 @pytest.mark.parametrize(
     ("dialog", "accepted", "text", "wanted"),
     [
