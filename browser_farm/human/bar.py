@@ -8,10 +8,10 @@ from enum import Enum
 
 from browser_farm import pages
 from browser_farm.chrome.devtools import BROWSER, DevTools, Json
+from browser_farm.sites.browser import FRAME
 
 BINDING = "giirlChoose"  # as in bar.js
 HEIGHT = 300  # px, with the tabs and the address of its window
-FRAME = 24, 160  # px of the page's window around the page: its border, its tabs, address and a notice
 
 
 class Choice(Enum):

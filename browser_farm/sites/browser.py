@@ -17,6 +17,8 @@ from browser_farm.sites.task_file import SiteTask, load_task
 from giirl_core.config.sections import Sandbox
 from giirl_core.types import EpisodeSpec, Observation
 
+FRAME = 24, 160  # px of a window around its page: border, tabs, address and a notice
+
 
 class SiteBrowser:
     """A Chrome that opens episodes of the task files `tasks`, each in a browser context of its own.
@@ -89,6 +91,7 @@ class SiteBrowser:
             timeout_s=self._call_timeout_s,
             on_refused=self.refuser.count,
             script=script,
+            frame=(0, 0) if self._headless else FRAME,
         )
         episode = Episode(task, spec, session, address)
         return episode, episode.begin([*login_calls(task, episode.address), *calls])

@@ -24,8 +24,8 @@ SCRIPTS = ("attributes", "site_reading", "site")
 class Session:
     """A page and its browser context; `close` ends both. Its methods are routines that fail with TabFailed.
 
-    `hear` takes the events of Chrome. `script` runs beside ours, in the same world. `refused` counts documents of
-    origins that are not allowed.
+    `hear` takes the events of Chrome. `script` runs beside ours, in the same world. `frame` is what the window has
+    beside the page, px. `refused` counts documents of origins that are not allowed.
     """
 
     def __init__(
@@ -38,10 +38,11 @@ class Session:
         timeout_s: float,
         on_refused: Callable[[str], None],
         script: str = "",
+        frame: tuple[int, int] = (0, 0),
     ) -> None:
         self._tools, self._timeout_s, self._viewport = tools, timeout_s, viewport
         self._origins, self._on_refused = origins, on_refused
-        self._proxy, self._script = proxy, script
+        self._proxy, self._script, self._frame = proxy, script, frame
         self.context = self.target = self.id = ""
         self.dialog: Dialog | None = None
         self.crashed = False
@@ -61,7 +62,8 @@ class Session:
         context = {"disposeOnDetach": True, "proxyServer": self._proxy, "proxyBypassList": rules}
         self.context = str((yield from self._browser("Target.createBrowserContext", context))["browserContextId"])
         width, height = self._viewport
-        page = {"url": "about:blank", "browserContextId": self.context, "width": width, "height": height}
+        window = {"width": width + self._frame[0], "height": height + self._frame[1]}
+        page = {"url": "about:blank", "browserContextId": self.context, **window}
         self.target = str((yield from self._browser("Target.createTarget", page))["targetId"])
         attach = {"targetId": self.target, "flatten": True}
         self.id = str((yield from self._browser("Target.attachToTarget", attach))["sessionId"])
