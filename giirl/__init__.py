@@ -26,8 +26,8 @@ __all__ = [
 _MODULES = {
     "Config": "giirl_core.config",
     "LearnedReward": "giirl.run.api",
-    "LearnedRewardVectorWrapper": "giirl.run.wrappers",
-    "LearnedRewardWrapper": "giirl.run.wrappers",
+    "LearnedRewardVectorWrapper": "giirl.adapters.wrappers",
+    "LearnedRewardWrapper": "giirl.adapters.wrappers",
     "RunFolder": "giirl.run.folder",
     "evaluate": "giirl.run.api",
     "load_config": "giirl_core.config_file",
@@ -39,9 +39,9 @@ _MODULES = {
 }
 
 if TYPE_CHECKING:
+    from giirl.adapters.wrappers import LearnedRewardVectorWrapper, LearnedRewardWrapper
     from giirl.run.api import LearnedReward, evaluate, load_policy, load_reward, train
     from giirl.run.folder import RunFolder
-    from giirl.run.wrappers import LearnedRewardVectorWrapper, LearnedRewardWrapper
     from giirl_core.config import Config
     from giirl_core.config_file import load_config
     from giirl_core.wire.messages import read_episodes, write_episodes

@@ -48,6 +48,7 @@ EXTRAS = {  # optional package, by import name: the extra that installs it
     "pyarrow": "train",
     "ray": "cluster",
     "safetensors": "train",
+    "stable_baselines3": "examples",
     "starlette": "http",
     "torch": "train",
     "uvicorn": "http",
