@@ -43,7 +43,7 @@ def build_app(reward: RewardModel, metrics: Metrics, token: str = "") -> FastAPI
     app = FastAPIOffline(title=TITLE, version=str(reward.version), redoc_url=None, redirect_slashes=False)
     app.add_middleware(BoundedBody)
     guards = [Depends(_guard(token))] if token else []
-    scoring = Lock()  # the nets use one thread
+    scoring = Lock()  # the nets use one thread; requests wait in threads of their own, so that others are answered
 
     @app.post("/score", responses=REFUSALS, dependencies=guards)
     def score(request: ScoreRequest) -> Scores:
@@ -64,18 +64,18 @@ def build_app(reward: RewardModel, metrics: Metrics, token: str = "") -> FastAPI
         return Scores(rewards=rewards.tolist(), best_first=order.tolist(), version=reward.version, form=reward.form)
 
     @app.get("/metrics", response_class=PlainTextResponse, dependencies=guards)
-    def prometheus(request: Request) -> Response:
+    async def prometheus(request: Request) -> Response:
         """Metrics for Prometheus."""
         body, content_type = metrics.render(request.headers.get("accept", ""))
         return Response(body, headers={"Content-Type": content_type})
 
     @app.get("/healthz", response_class=PlainTextResponse)
-    def healthz() -> Response:
+    async def healthz() -> Response:
         """Whether the process is alive."""
         return _probe(metrics.health.hung)
 
     @app.get("/readyz", response_class=PlainTextResponse)
-    def readyz() -> Response:
+    async def readyz() -> Response:
         """Whether the process serves."""
         return _probe(metrics.health.unready)
 
@@ -106,23 +106,23 @@ def _answer_errors_in_one_line(app: FastAPI, metrics: Metrics) -> None:
             metrics.scoring_requests.labels(RESULTS[status]).inc()
         return JSONResponse({"error": one_line(line)}, status, headers)
 
-    def refused(request: Request, error: Exception) -> Response:
+    async def refused(request: Request, error: Exception) -> Response:
         assert isinstance(error, RequestValidationError)
         return answer(422, _line(error.errors()))
 
-    def failed(request: Request, error: Exception) -> Response:
+    async def failed(request: Request, error: Exception) -> Response:
         return answer(500, f"scoring failed: {type(error).__name__}: {error}")
 
-    def problem(request: Request, error: Exception) -> Response:
+    async def problem(request: Request, error: Exception) -> Response:
         assert isinstance(error, AnyHTTPException)
         unread = error.status_code == 400  # what json cannot read although it may be JSON, such as 1e5 brackets
         line = "the body: wanted JSON, got something else" if unread else str(error.detail)
         return answer(error.status_code, line, error.headers)
 
-    def missing(request: Request, error: Exception) -> Response:
+    async def missing(request: Request, error: Exception) -> Response:
         return answer(404, f"the path: wanted /score, /healthz, /readyz, /metrics or /docs, got {request.url.path}")
 
-    def other_method(request: Request, error: Exception) -> Response:
+    async def other_method(request: Request, error: Exception) -> Response:
         headers = getattr(error, "headers", None) or {}
         wanted = headers.get("Allow", "another")
         return answer(405, f"the method of {request.url.path}: wanted {wanted}, got {request.method}", headers)

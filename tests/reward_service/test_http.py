@@ -19,7 +19,7 @@ from giirl_core.nets.reward import RewardModel, build_reward
 from giirl_core.telemetry.prometheus import parse_samples
 from giirl_core.telemetry.series import SERVICE
 from giirl_core.types import Action, Goal, Verb
-from reward_service import http_body
+from reward_service import http_api, http_body
 from reward_service.http_schema import ScoreRequest
 from reward_service.http_server import HttpServer
 from tests.reward_service.mutations import DEADLINE_S, REQUEST, exchange, mutated
@@ -165,6 +165,35 @@ def test_health_and_metrics_are_served(reward: RewardModel) -> None:
     assert status == 200
     assert (counts["ok"], counts["malformed"]) == (1, 1)
     assert samples["giirl_scoring_duration_seconds_count"] == [({}, 1)]
+
+
+def test_while_requests_wait_for_the_nets_health_and_errors_are_answered(
+    reward: RewardModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, go_on = threading.Event(), threading.Event()
+
+    def slow(*_: Any) -> Any:
+        begun.set()
+        assert go_on.wait(WAIT_S)
+        raise RuntimeError("no\nnets")
+
+    monkeypatch.setattr(reward, "score_actions", slow)
+    monkeypatch.setattr(http_api, "WAIT_S", 0.1)
+    answers: list[tuple[int, str]] = []
+    with serving(reward) as address:
+        first = threading.Thread(target=lambda: answers.append(ask(address, "POST", "/score", REQUEST)))
+        first.start()
+        assert begun.wait(WAIT_S)
+        status, text = ask(address, "POST", "/score", REQUEST)
+        assert (status, json.loads(text)["error"][:44]) == (503, "the service: wanted fewer requests at once, ")
+        assert ask(address, "GET", "/healthz")[0] == 200
+        assert ask(address, "POST", "/score", b"{")[0] == 422
+        go_on.set()
+        first.join(WAIT_S)
+        samples = parse_samples(ask(address, "GET", "/metrics")[1])
+    counts = {labels["result"]: value for labels, value in samples["giirl_scoring_requests_total"]}
+    assert answers == [(500, '{"error":"scoring failed: RuntimeError: no nets"}')]
+    assert (counts["failed"], counts["overloaded"], counts["malformed"], counts["ok"]) == (1, 1, 1, 0)
 
 
 def test_with_a_token_only_its_holder_gets_rewards_and_metrics(reward: RewardModel) -> None:
