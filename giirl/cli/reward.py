@@ -136,7 +136,7 @@ def serve(run: Path, http: bool, host: str, port: int, token_file: Path | None) 
         Display().say(f"serving the reward of {run}, version {version}; Ctrl-C stops the service")
 
     if http:
-        token = token_file.read_text().strip() if token_file is not None else ""
+        token = token_file.read_bytes().decode("ascii", "replace").strip() if token_file is not None else ""
         learned = LearnedReward(run)
         version = learned.version
         serve_reward_over_http(learned.model, host, port, token, on_ready)
