@@ -73,7 +73,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("reward", help="a run, or an exported file")
     parser.add_argument("--task", default="click-button")
-    parser.add_argument("--steps", type=int, default=8000, help="environment steps on each reward")
+    parser.add_argument("--steps", type=int, default=3000, help="environment steps on each reward")
     parser.add_argument("--pages", type=int, default=300, help="fresh pages of the evaluation")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=writable)
