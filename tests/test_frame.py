@@ -52,6 +52,7 @@ NAMES_MODULES = {
 # The only module that may import each library that talks to the outside.
 SOLE_IMPORTER = {
     "PIL": "browser_farm/chrome/answers.py",
+    "fastapi": "reward_service/http_api.py",
     "jinja2": "giirl/report/render.py",
     "matplotlib": "giirl/figures.py",
     "miniwob": "browser_farm/gym/adapter.py",
@@ -59,6 +60,7 @@ SOLE_IMPORTER = {
     "prometheus_client": "giirl_core/telemetry/prometheus.py",
     "ray": "giirl_core/processes/ray_platform.py",
     "selenium": "browser_farm/chrome/launcher.py",
+    "uvicorn": "reward_service/http_server.py",
     "websocket": "browser_farm/chrome/devtools.py",
     "zmq": "giirl_core/wire/transport.py",
 }

