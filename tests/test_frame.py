@@ -52,6 +52,7 @@ NAMES_MODULES = {
 # The only module that may import each library that talks to the outside.
 SOLE_IMPORTER = {
     "PIL": "browser_farm/chrome/answers.py",
+    "aiohttp": "giirl/feedback/server.py",
     "jinja2": "giirl/report/render.py",
     "matplotlib": "giirl/figures.py",
     "miniwob": "browser_farm/gym/adapter.py",

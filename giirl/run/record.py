@@ -20,6 +20,17 @@ def record(tasks: Sequence[str], per_task: int, seed: int, display: Display) -> 
 
     Ctrl-C or closing the window ends the recording early. ValueError without a screen.
     """
+    check_recordable(tasks)
+    pages = [
+        EpisodeSpec(task=task, seed=page_seed(Purpose.DEMONSTRATE, seed, index))
+        for task in tasks
+        for index in range(per_task)
+    ]
+    return _recorded(pages, display)
+
+
+def check_recordable(tasks: Sequence[str]) -> None:
+    """ValueError for a task that cannot be recorded, and without a screen."""
     for task in tasks:
         if is_site(task):
             raise ValueError(
@@ -30,12 +41,6 @@ def record(tasks: Sequence[str], per_task: int, seed: int, display: Display) -> 
             raise ValueError(f"{task} cannot be recorded: its site is in a frame, wanted a task with a single page")
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise ValueError("there is no screen: DISPLAY is not set, wanted a desktop or xvfb-run")
-    pages = [
-        EpisodeSpec(task=task, seed=page_seed(Purpose.DEMONSTRATE, seed, index))
-        for task in tasks
-        for index in range(per_task)
-    ]
-    return _recorded(pages, display)
 
 
 def _recorded(pages: Sequence[EpisodeSpec], display: Display) -> Iterator[Episode]:

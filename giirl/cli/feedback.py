@@ -1,0 +1,31 @@
+"""`giirl feedback`: a person judges and corrects episodes of a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from giirl.cli.options import RUN
+from giirl_core.progress import Display
+
+
+@click.command()
+@RUN
+@click.option("--port", default=0, show_default="any free port", type=click.IntRange(0, 65535), help="On loopback.")
+def feedback(run: Path, port: int) -> None:
+    """Serve a page on which you judge and correct episodes of the policy, until Ctrl-C.
+
+    A run under way learns from the answers at once, another one when it is resumed.
+    """
+    from giirl.feedback.session import give_feedback, how_to_learn, open_feedback_run
+
+    folder, config = open_feedback_run(run)
+    display = Display()
+
+    def on_ready(address: str) -> None:
+        click.echo(address)
+        display.say("open this address in a browser on this machine; Ctrl-C ends the page")
+
+    answers = give_feedback(folder, config, port, on_ready)
+    display.say(f"{answers} answers in {folder.feedback}; to learn from them: {how_to_learn(folder, config)}")

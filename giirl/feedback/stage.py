@@ -1,0 +1,94 @@
+"""The window in which a person shows the right way through a page, recorded as `giirl demos record` does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from threading import Lock, Thread
+from typing import Protocol
+
+from browser_farm.chrome.devtools import BrowserGone
+from browser_farm.human.recorder import Interrupted, Recorder
+from giirl.feedback.chooser import Candidate
+from giirl.run.record import check_recordable
+from giirl_core.files import explain
+from giirl_core.types import Episode, EpisodeSpec, Trajectory
+
+
+class Recording(Protocol):
+    """What the stage uses of a `Recorder`."""
+
+    def record(self, spec: EpisodeSpec, show_instruction: Callable[[str], None], /) -> Episode | None: ...
+
+    def close(self) -> None: ...
+
+
+@dataclass(slots=True)
+class Take:
+    """One person showing the way of one episode: under way, done (`shown`) or failed (`error`)."""
+
+    candidate: Candidate
+    wrong_from: int  # what the person had marked and typed before
+    right_for: str
+    shown: Trajectory | None = None
+    error: str = ""
+
+    @property
+    def under_way(self) -> bool:
+        return self.shown is None and not self.error
+
+
+class Stage:
+    """One window at a time, whoever asks for it. It waits as long as the person takes."""
+
+    def __init__(self, open_recorder: Callable[[], Recording] = Recorder, *, check: bool = True) -> None:
+        self._open_recorder, self._check = open_recorder, check
+        self._lock = Lock()
+        self._takes: dict[str, Take] = {}  # by key of the episode
+        self._thread: Thread | None = None
+        self._recorder: Recording | None = None
+
+    def take_of(self, key: str) -> Take | None:
+        """The latest take of an episode that was not ended by `drop`."""
+        return self._takes.get(key)
+
+    def start(self, candidate: Candidate, wrong_from: int, right_for: str) -> None:
+        """Open the window. ValueError if the task cannot be recorded, or while another take is under way."""
+        if self._check:
+            check_recordable([candidate.view.task])
+        with self._lock:
+            if self._thread is not None and self._thread.is_alive():
+                raise ValueError("another page is being shown in the window: finish it first, or cancel it")
+            take = self._takes[candidate.key] = Take(candidate, wrong_from, right_for)
+            self._thread = Thread(target=self._record, args=(take,), daemon=True)
+            self._thread.start()
+
+    def drop(self, key: str) -> None:
+        """Forget the take of an episode, and close its window."""
+        take = self._takes.pop(key, None)
+        if take is not None and take.under_way:
+            self.close()
+
+    def close(self) -> None:
+        """Close the window, if it is open, and wait for its end."""
+        with self._lock:
+            if self._recorder is not None:
+                self._recorder.close()
+            if self._thread is not None:
+                self._thread.join()
+                self._thread = None
+
+    def _record(self, take: Take) -> None:
+        spec = EpisodeSpec(task=take.candidate.view.task, seed=take.candidate.view.seed)
+        try:
+            with closing(self._open_recorder()) as self._recorder:
+                episode = self._recorder.record(spec, lambda goal: None)
+            if episode is None:
+                raise ValueError("nothing was done in the window")
+            episode.trajectory.check_learnable()
+            take.shown = episode.trajectory
+        except (Interrupted, BrowserGone, ValueError, RuntimeError, OSError) as error:
+            take.error = explain(error) or type(error).__name__
+        finally:
+            self._recorder = None
