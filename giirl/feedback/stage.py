@@ -15,6 +15,8 @@ from giirl.run.record import check_recordable
 from giirl_core.files import explain
 from giirl_core.types import Episode, EpisodeSpec, Trajectory
 
+CLOSE_TIMEOUT_S = 60.0
+
 
 class Recording(Protocol):
     """What the stage uses of a `Recorder`."""
@@ -33,6 +35,7 @@ class Take:
     right_for: str
     shown: Trajectory | None = None
     error: str = ""
+    cancelled: bool = False
 
     @property
     def under_way(self) -> bool:
@@ -46,8 +49,8 @@ class Stage:
         self._open_recorder, self._check = open_recorder, check
         self._lock = Lock()
         self._takes: dict[str, Take] = {}  # by key of the episode
+        self._recorder: Recording | None = None  # while its window is open
         self._thread: Thread | None = None
-        self._recorder: Recording | None = None
 
     def take_of(self, key: str) -> Take | None:
         """The latest take of an episode that was not ended by `drop`."""
@@ -58,32 +61,37 @@ class Stage:
         if self._check:
             check_recordable([candidate.view.task])
         with self._lock:
-            if self._thread is not None and self._thread.is_alive():
+            if any(take.under_way for take in self._takes.values()):
                 raise ValueError("another page is being shown in the window: finish it first, or cancel it")
             take = self._takes[candidate.key] = Take(candidate, wrong_from, right_for)
-            self._thread = Thread(target=self._record, args=(take,), daemon=True)
-            self._thread.start()
+        self._thread = Thread(target=self._record, args=(take,), daemon=True)
+        self._thread.start()
 
     def drop(self, key: str) -> None:
         """Forget the take of an episode, and close its window."""
-        take = self._takes.pop(key, None)
-        if take is not None and take.under_way:
-            self.close()
+        with self._lock:
+            take = self._takes.pop(key, None)
+            if take is not None and take.under_way:
+                take.cancelled = True
+                if self._recorder is not None:
+                    self._recorder.close()
 
     def close(self) -> None:
-        """Close the window, if it is open, and wait for its end."""
-        with self._lock:
-            if self._recorder is not None:
-                self._recorder.close()
-            if self._thread is not None:
-                self._thread.join()
-                self._thread = None
+        """Forget all takes, close the window and wait for its end."""
+        for key in list(self._takes):
+            self.drop(key)
+        if self._thread is not None:
+            self._thread.join(CLOSE_TIMEOUT_S)
 
     def _record(self, take: Take) -> None:
         spec = EpisodeSpec(task=take.candidate.view.task, seed=take.candidate.view.seed)
         try:
-            with closing(self._open_recorder()) as self._recorder:
-                episode = self._recorder.record(spec, lambda goal: None)
+            with closing(self._open_recorder()) as recorder:
+                with self._lock:
+                    self._recorder = recorder
+                if take.cancelled:
+                    return
+                episode = recorder.record(spec, lambda goal: None)
             if episode is None:
                 raise ValueError("nothing was done in the window")
             episode.trajectory.check_learnable()
@@ -91,4 +99,5 @@ class Stage:
         except (Interrupted, BrowserGone, ValueError, RuntimeError, OSError) as error:
             take.error = explain(error) or type(error).__name__
         finally:
-            self._recorder = None
+            with self._lock:
+                self._recorder = None
