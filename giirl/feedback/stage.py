@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import Lock, Thread
 from typing import Protocol
 
@@ -53,8 +53,9 @@ class Stage:
         self._thread: Thread | None = None
 
     def take_of(self, key: str) -> Take | None:
-        """The latest take of an episode that was not ended by `drop`."""
-        return self._takes.get(key)
+        """The latest take of an episode that was not ended by `drop`: a copy, which does not change any more."""
+        take = self._takes.get(key)
+        return replace(take) if take is not None else None
 
     def start(self, candidate: Candidate, wrong_from: int, right_for: str) -> None:
         """Open the window. ValueError if the task cannot be recorded, or while another take is under way."""
