@@ -1,4 +1,4 @@
-"""`giirl feedback`: a person judges and corrects episodes of a run."""
+"""`giirl feedback`: a person judges and corrects episodes of a run; and the study of what that is worth."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from giirl.cli.options import RUN
+from giirl.cli.options import JSON, RUN, save_and_show, seeds
+from giirl_core.files import folder_lock
 from giirl_core.progress import Display
 
 
@@ -29,3 +30,18 @@ def feedback(run: Path, port: int) -> None:
 
     answers = give_feedback(folder, config, port, on_ready)
     display.say(f"{answers} answers in {folder.feedback}; to learn from them: {how_to_learn(folder, config)}")
+
+
+@click.command(name="feedback")
+@seeds(3)
+@click.option("--set", "changes", multiple=True, metavar="KEY=VALUE", help="For all runs; may be given again.")
+@JSON
+def feedback_study(seeds: int, changes: tuple[str, ...], json_file: Path | None) -> None:
+    """Success against answers of a simulated person, beside as many demonstrations. Real Chrome, 15 minutes a seed."""
+    from giirl.studies.feedback import feedback_study, feedback_table
+
+    root = Path("runs/studies")
+    root.mkdir(parents=True, exist_ok=True)
+    with folder_lock(root):
+        result = feedback_study(range(seeds), root, changes, Display())
+    save_and_show(json_file, result, feedback_table(result))

@@ -18,7 +18,7 @@ from rich.table import Column, Table
 from giirl.cli.actors import actors
 from giirl.cli.bench import bench
 from giirl.cli.demos import demos
-from giirl.cli.feedback import feedback
+from giirl.cli.feedback import feedback, feedback_study
 from giirl.cli.operate import clean, status, stop
 from giirl.cli.options import JSON, RUN, Place, place, save_and_show
 from giirl.cli.report import report
@@ -158,6 +158,7 @@ giirl.add_command(reproduce)
 giirl.add_command(report)
 giirl.add_command(reward)
 giirl.add_command(tasks)
+reproduce.add_command(feedback_study)
 for study in commands():
     reproduce.add_command(study)
 

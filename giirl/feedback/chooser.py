@@ -79,13 +79,13 @@ class Chooser:
     ValueError for a run without a checkpoint.
     """
 
-    def __init__(self, folder: RunFolder, config: Config, *, screenshots: bool = True) -> None:
+    def __init__(self, folder: RunFolder, config: Config, *, screenshots: bool = True, seed: int | None = None) -> None:
         self._folder, self._config = folder, config
         self._checkpoint = folder.latest_checkpoint()
         weights = weights_of(folder, config, self._checkpoint)
         self._inspector = Inspector(config, *weights, Metrics(), screenshots=screenshots)
         self._index = count()
-        self._rng = np.random.default_rng()
+        self._rng = np.random.default_rng(seed)
 
     def __enter__(self) -> Chooser:
         return self
