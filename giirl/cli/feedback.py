@@ -29,7 +29,7 @@ def feedback(run: Path, port: int) -> None:
         display.say("open this address in a browser on this machine; Ctrl-C ends the page")
 
     answers = give_feedback(folder, config, port, on_ready)
-    display.say(f"{answers} answers in {folder.feedback}; to learn from them: {how_to_learn(folder, config)}")
+    display.say(f"answers in {folder.feedback}: {answers}; {how_to_learn(folder, config)}")
 
 
 @click.command(name="feedback")

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from threading import Condition
 
-from giirl.feedback.chooser import Candidate
+from giirl.feedback.selector import Candidate
 from giirl_core.types import Goal, Trajectory
 from giirl_core.wire.answers import RIGHT, SUFFIX, Answer, write_answer
 

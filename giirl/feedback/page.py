@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from giirl.feedback.chooser import Candidate
+from giirl.feedback.selector import Candidate
 from giirl.feedback.stage import Take
 from giirl.report.element_rewards import Frame, describe_action, scale_of
 from giirl.report.overlay import Overlay, draw_overlay

@@ -15,6 +15,7 @@ from aiohttp import web
 from giirl.feedback.desk import Desk
 from giirl.feedback.page import Pages, Said
 from giirl.feedback.stage import Stage
+from giirl_core.files import explain
 from giirl_core.wire.answers import Answer
 
 HOST = "127.0.0.1"
@@ -99,10 +100,10 @@ class FeedbackServer:
             following = await asyncio.to_thread(verb, window, key, form)
         except LookupError:  # of an earlier server; the page is played again
             following = _address(window)
-        except ValueError as error:
-            said = Said(step=_step(form), right_for=form.get("right_for", ""), error=str(error))
+        except (ValueError, OSError) as error:  # OSError: nothing was written
+            said = Said(step=_step(form), right_for=form.get("right_for", ""), error=explain(error))
             page = self._pages.ask(window, self._desk.lent(key), said, self._desk.answers, "")
-            return _html(page, status=422)
+            return _html(page, status=422 if isinstance(error, ValueError) else 500)
         raise web.HTTPSeeOther(following)
 
     def _state(self, window: str, episode: str, last: str) -> str:

@@ -9,16 +9,18 @@ from contextlib import closing
 from pathlib import Path
 from threading import Event
 
-from giirl.feedback.chooser import Chooser
+from browser_farm.human.recorder import Recorder
 from giirl.feedback.desk import Desk
 from giirl.feedback.page import Pages
+from giirl.feedback.selector import Selector
 from giirl.feedback.server import FeedbackServer, run
 from giirl.feedback.stage import Stage
 from giirl.run.folder import RunFolder
+from giirl.run.record import check_recordable
 from giirl.run.worlds import open_web_run, world_of
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
-from giirl_core.files import folder_lock
+from giirl_core.files import folder_lock, is_locked
 
 POLL_S = 0.5
 
@@ -40,18 +42,18 @@ def give_feedback(folder: RunFolder, config: Config, port: int, on_ready: Callab
     """
     folder.feedback.mkdir(exist_ok=True)
     desk = Desk(folder.feedback)
-    with folder_lock(folder.feedback), Chooser(folder, config) as chooser, closing(Stage()) as stage:
+    with folder_lock(folder.feedback), Selector(folder, config) as selector, closing(_stage(config)) as stage:
         server = FeedbackServer(desk, stage, Pages(config, folder.path.name))
-        asyncio.run(_play_and_serve(server, port, on_ready, desk, chooser))
+        asyncio.run(_play_and_serve(server, port, on_ready, desk, selector))
     return desk.answers
 
 
 async def _play_and_serve(
-    server: FeedbackServer, port: int, on_ready: Callable[[str], None], desk: Desk, chooser: Chooser
+    server: FeedbackServer, port: int, on_ready: Callable[[str], None], desk: Desk, selector: Selector
 ) -> None:
     """Serve until Ctrl-C, while a thread plays; what ends the thread ends the server, and is raised."""
     stop, ended = asyncio.Event(), Event()
-    player = asyncio.create_task(asyncio.to_thread(_keep_desk_full, desk, chooser, ended))
+    player = asyncio.create_task(asyncio.to_thread(_keep_desk_full, desk, selector, ended))
     player.add_done_callback(lambda _: stop.set())
     try:
         await run(server, port, on_ready, stop)
@@ -60,16 +62,29 @@ async def _play_and_serve(
         await player
 
 
-def _keep_desk_full(desk: Desk, chooser: Chooser, ended: Event) -> None:
+def _stage(config: Config) -> Stage:
+    """The window in which people show the right way."""
+
+    def check(task: str) -> None:
+        if config.browser == "fake":
+            raise ValueError("the fake browser has no window to show anything in")
+        check_recordable([task])
+
+    return Stage(lambda: Recorder(chrome_sandbox=config.actors.chrome_sandbox), check)
+
+
+def _keep_desk_full(desk: Desk, selector: Selector, ended: Event) -> None:
     """Play until `ended`, whenever few episodes wait."""
     while not ended.is_set():
         if desk.wait_until_low(POLL_S):
-            desk.offer(chooser.choose(ended))
+            desk.offer(selector.choose(ended))
 
 
 def how_to_learn(folder: RunFolder, config: Config) -> str:
-    """The command with which a run learns from the answers."""
+    """How a run learns from the answers: as it goes on, or with which command."""
+    if is_locked(folder.path):
+        return "the run under way learns from them"
     checkpoint = folder.latest_checkpoint()
     done: int = json.loads((checkpoint / "learner.json").read_bytes())["version"]
     more = f" iterations={done + max(config.iterations // 3, 1)}" if done >= config.iterations else ""
-    return f"giirl train --resume {folder.path}{more}"
+    return f"to learn from them: giirl train --resume {folder.path}{more}"

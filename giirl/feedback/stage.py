@@ -9,9 +9,8 @@ from threading import Lock, Thread
 from typing import Protocol
 
 from browser_farm.chrome.devtools import BrowserGone
-from browser_farm.human.recorder import Interrupted, Recorder
-from giirl.feedback.chooser import Candidate
-from giirl.run.record import check_recordable
+from browser_farm.human.recorder import Interrupted
+from giirl.feedback.selector import Candidate
 from giirl_core.files import explain
 from giirl_core.types import Episode, EpisodeSpec, Trajectory
 
@@ -45,7 +44,8 @@ class Take:
 class Stage:
     """One window at a time, whoever asks for it. It waits as long as the person takes."""
 
-    def __init__(self, open_recorder: Callable[[], Recording] = Recorder, *, check: bool = True) -> None:
+    def __init__(self, open_recorder: Callable[[], Recording], check: Callable[[str], None]) -> None:
+        """`check` raises ValueError, which says why, for a task that cannot be shown."""
         self._open_recorder, self._check = open_recorder, check
         self._lock = Lock()
         self._takes: dict[str, Take] = {}  # by key of the episode
@@ -58,9 +58,8 @@ class Stage:
         return replace(take) if take is not None else None
 
     def start(self, candidate: Candidate, wrong_from: int, right_for: str) -> None:
-        """Open the window. ValueError if the task cannot be recorded, or while another take is under way."""
-        if self._check:
-            check_recordable([candidate.view.task])
+        """Open the window. ValueError if the task cannot be shown, or while another take is under way."""
+        self._check(candidate.view.task)
         with self._lock:
             if any(take.under_way for take in self._takes.values()):
                 raise ValueError("another page is being shown in the window: finish it first, or cancel it")

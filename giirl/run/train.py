@@ -196,7 +196,7 @@ class Session:
             self._learner.anneal(step)
             if (heard := self._feedback.read()) is not None:
                 self._learner.hear(heard)
-                self._display.say(f"learning from {len(self._feedback)} answers in {self._folder.feedback}")
+                self._display.say(f"answers of people that the run learns from: {len(self._feedback)}")
             yield step
 
     def _observe(self, step: int, stats: dict[str, float]) -> None:

@@ -20,8 +20,8 @@ import numpy as np
 from rich.table import Table
 
 from actors.player import AgentSpec, Player, open_browser_player
-from giirl.feedback.chooser import Candidate, Chooser
 from giirl.feedback.desk import Desk
+from giirl.feedback.selector import Candidate, Selector
 from giirl.run.api import train
 from giirl.run.folder import RunFolder
 from giirl.statistics import Score, percent
@@ -84,9 +84,9 @@ def give_answers(
 ) -> None:
     """Let a person answer about `count` episodes of the latest policy."""
     desk, given = Desk(folder.feedback), 0
-    with Chooser(folder, config, screenshots=False, seed=seed) as chooser:
+    with Selector(folder, config, screenshots=False, seed=seed) as selector:
         while given < count:
-            desk.offer(chooser.choose(Event()))
+            desk.offer(selector.choose(Event()))
             while given < count and (candidate := desk.take(WINDOW)) is not None:
                 person.answer(desk, candidate)
                 given += 1

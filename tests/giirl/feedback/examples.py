@@ -12,12 +12,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from giirl.feedback.chooser import Candidate, candidate_of
+from browser_farm.human.recorder import Recorder
 from giirl.feedback.desk import Desk
 from giirl.feedback.page import Pages
+from giirl.feedback.selector import Candidate, candidate_of
 from giirl.feedback.server import FeedbackServer
 from giirl.feedback.stage import Stage
 from giirl.report.element_rewards import EpisodeView, Frame
+from giirl.run.record import check_recordable
 from giirl_core.config_file import load_config
 from giirl_core.types import Action, Goal, Outcome, Verb
 from tests.giirl.report.examples import GOAL, page, scored
@@ -86,7 +88,7 @@ def fetch(url: str, form: dict[str, str] | None = None) -> Reply:
 @contextmanager
 def serving(folder: Path, *candidates: Candidate, stage: Stage | None = None, port: int = 0) -> Iterator[Served]:
     """A server whose answers go to `folder`, in a thread of its own."""
-    desk, stage = Desk(folder), stage or Stage()
+    desk, stage = Desk(folder), stage or Stage(Recorder, lambda task: check_recordable([task]))
     desk.offer(candidates)
     server = FeedbackServer(desk, stage, Pages(load_config(None, []), "test"))
     ready, ends = threading.Event(), list[Callable[[], object]]()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,7 @@ from threading import Event
 import pytest
 
 from browser_farm.human.recorder import Interrupted
+from giirl.feedback import desk
 from giirl.feedback.stage import Stage
 from giirl_core.types import Episode, EpisodeSpec, Outcome
 from giirl_core.wire.answers import RIGHT, Answer, read_answer
@@ -36,7 +38,7 @@ def test_right_makes_a_demonstration_and_the_window_gets_the_next_episode(folder
         assert ONE.key in served.get().text
         reply = served.post("right", ONE.key)
         assert TWO.key in reply.text
-        assert "1 answers so far" in reply.text
+        assert "Answers so far: 1" in reply.text
     assert the_answer(folder).wrong_from == RIGHT
 
 
@@ -153,6 +155,10 @@ class Shown:
         self.done.set()
 
 
+def any_task(task: str) -> None:
+    """Every task can be shown."""
+
+
 def shown_by_a_person(steps: int) -> Episode:
     return Episode(trajectory=clicking(2, steps=steps).trajectory, outcome=Outcome(raw_reward=0.0, ended=True))
 
@@ -168,7 +174,7 @@ def until(words: str, read: Callable[[], str]) -> str:
 
 def test_the_way_that_a_person_shows_is_kept_when_they_say_so(folder: Path) -> None:
     window = Shown(shown_by_a_person(1))
-    with serving(folder, TWO, stage=Stage(lambda: window, check=False)) as served:
+    with serving(folder, TWO, stage=Stage(lambda: window, any_task)) as served:
         served.get()
         assert "A Chrome window shows the page" in served.post("show", TWO.key, step="2", right_for="Press Ok.").text
         assert "finish it first" in served.post("show", TWO.key).text
@@ -191,7 +197,7 @@ def test_the_way_that_a_person_shows_is_kept_when_they_say_so(folder: Path) -> N
     ids=["nothing", "left"],
 )
 def test_a_way_that_was_not_shown_is_no_answer(window: Shown, words: str, folder: Path) -> None:
-    with serving(folder, TWO, stage=Stage(lambda: window, check=False)) as served:
+    with serving(folder, TWO, stage=Stage(lambda: window, any_task)) as served:
         served.get()
         window.done.set()
         served.post("show", TWO.key)
@@ -203,7 +209,7 @@ def test_a_way_that_was_not_shown_is_no_answer(window: Shown, words: str, folder
 
 def test_cancel_closes_the_window_and_asks_again(folder: Path) -> None:
     window = Shown(shown_by_a_person(1))
-    with serving(folder, TWO, stage=Stage(lambda: window, check=False)) as served:
+    with serving(folder, TWO, stage=Stage(lambda: window, any_task)) as served:
         served.get()
         served.post("show", TWO.key)
         assert "Did the policy do this" in served.post("drop", TWO.key).text
@@ -218,7 +224,7 @@ def test_cancel_while_the_window_opens_closes_it_too(folder: Path) -> None:
         assert opening.wait(DEADLINE_S)
         return window
 
-    with serving(folder, TWO, stage=Stage(open_slowly, check=False)) as served:
+    with serving(folder, TWO, stage=Stage(open_slowly, any_task)) as served:
         served.get()
         served.post("show", TWO.key)
         assert "Did the policy do this" in served.post("drop", TWO.key).text
@@ -236,12 +242,29 @@ def test_without_a_screen_nothing_can_be_shown(folder: Path, monkeypatch: pytest
     assert "there is no screen" in reply.text
 
 
+def test_an_answer_that_cannot_be_saved_says_so_and_is_asked_again(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(folder: Path, answer: Answer) -> Path:
+        raise OSError(errno.ENOSPC, "No space left on device", str(folder))
+
+    with serving(folder, ONE) as served:
+        served.get()
+        with monkeypatch.context() as patch:
+            patch.setattr(desk, "write_answer", full)
+            reply = served.post("right", ONE.key)
+        assert reply.status == 500
+        assert "No space left on device; free some space there" in reply.text
+        served.post("right", ONE.key)
+    assert the_answer(folder).wrong_from == RIGHT
+
+
 def test_a_restart_loses_no_answer(folder: Path) -> None:
     with serving(folder, ONE, TWO) as served:
         served.get()
         served.post("right", ONE.key)
     with serving(folder, TWO) as served:
-        assert "1 answers so far" in served.get().text
+        assert "Answers so far: 1" in served.get().text
         served.post("wrong", TWO.key)
         assert served.desk.answers == 2
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from giirl.feedback.chooser import Candidate
 from giirl.feedback.desk import Desk
+from giirl.feedback.selector import Candidate
 from giirl.run.folder import RunFolder
 from giirl.studies import feedback
 from giirl.studies.feedback import ARMS, SimulatedPerson, feedback_study, feedback_table

@@ -9,9 +9,9 @@ from threading import Event
 
 import pytest
 
-from giirl.feedback import chooser
-from giirl.feedback.chooser import CHOSEN, ROUND, Candidate, Chooser, candidate_of, doubt
+from giirl.feedback import selector
 from giirl.feedback.desk import LEASE_S, LOW, Desk
+from giirl.feedback.selector import CHOSEN, ROUND, Candidate, Selector, candidate_of, doubt
 from giirl.report.element_rewards import EpisodeView
 from giirl.report.inspector import Inspector
 from giirl.run.folder import RunFolder
@@ -47,8 +47,8 @@ def test_the_least_sure_episodes_of_a_round_are_chosen_and_one_at_random(
         played.append(candidate_of(view))
         return played[-1]
 
-    monkeypatch.setattr(chooser, "candidate_of", watched)
-    with Chooser(RunFolder(small), config(small)) as some:
+    monkeypatch.setattr(selector, "candidate_of", watched)
+    with Selector(RunFolder(small), config(small)) as some:
         chosen = some.choose(Event())
     assert len(played) == ROUND
     assert len(chosen) == CHOSEN
@@ -60,13 +60,13 @@ def test_the_least_sure_episodes_of_a_round_are_chosen_and_one_at_random(
 def test_their_pages_are_of_feedback_alone_and_an_answered_one_is_not_played_again(small: Path) -> None:
     folder = RunFolder(small)
     desk = Desk(folder.feedback)
-    with Chooser(folder, config(small)) as some:
+    with Selector(folder, config(small)) as some:
         desk.offer(chosen := some.choose(Event()))
     assert {one.view.seed >> 48 for one in chosen} == {Purpose.FEEDBACK}
     first = desk.take("a")
     assert first is not None
     desk.answer(first.key)
-    with Chooser(folder, config(small)) as some:
+    with Selector(folder, config(small)) as some:
         keys = {one.key for _ in range(3) for one in some.choose(Event())}
     assert first.key not in keys
 
@@ -75,7 +75,7 @@ def test_a_new_checkpoint_is_used_from_the_next_round_on(small: Path, monkeypatc
     folder, loaded = RunFolder(small), list[int]()
     checkpoints = sorted(folder.checkpoints.glob("step-*"))
     monkeypatch.setattr(RunFolder, "latest_checkpoint", lambda self: checkpoints[0])
-    with Chooser(folder, config(small)) as some:
+    with Selector(folder, config(small)) as some:
         monkeypatch.setattr(Inspector, "load", lambda self, policy, reward: loaded.append(policy.version))
         monkeypatch.setattr(RunFolder, "latest_checkpoint", lambda self: checkpoints[-1])
         some.choose(Event())
@@ -89,7 +89,7 @@ def test_pages_that_never_open_are_an_error_and_not_episodes(small: Path, monkey
 
     monkeypatch.setattr(Inspector, "episode", broken)
     with (
-        Chooser(RunFolder(small), config(small)) as some,
+        Selector(RunFolder(small), config(small)) as some,
         pytest.raises(RuntimeError, match=f"none of {ROUND} pages could be played: the page was lost"),
     ):
         some.choose(Event())

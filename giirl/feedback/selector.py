@@ -73,7 +73,7 @@ def candidate_of(view: EpisodeView) -> Candidate:
     return Candidate(view=view, trajectory=trajectory, doubts=tuple(doubt(one) for one in scored))
 
 
-class Chooser:
+class Selector:
     """Plays in a browser of its own, with the latest checkpoint of a run, which may be under way.
 
     ValueError for a run without a checkpoint.
@@ -87,7 +87,7 @@ class Chooser:
         self._index = count()
         self._rng = np.random.default_rng(seed)
 
-    def __enter__(self) -> Chooser:
+    def __enter__(self) -> Selector:
         return self
 
     def __exit__(
