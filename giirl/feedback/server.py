@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import hmac
 import secrets
-import signal
 from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from urllib.parse import urlencode
@@ -155,18 +154,6 @@ class FeedbackServer:
         """The step from which on an episode is wrong, the last one unless one is marked; and the instruction typed."""
         steps, marked = len(self._desk.lent(key).trajectory), _step(form)
         return (marked or steps) - 1, form.get("right_for", "").strip()
-
-
-async def run(server: FeedbackServer, port: int, on_ready: Callable[[str], None], stop: asyncio.Event) -> None:
-    """Serve until Ctrl-C, SIGTERM or SIGHUP, or until `stop` is set."""
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, stop.set)
-    try:
-        await server.serve(port, on_ready, stop)
-    finally:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            loop.remove_signal_handler(number)
 
 
 def _step(form: Form) -> int:

@@ -13,11 +13,12 @@ from browser_farm.human.recorder import Recorder
 from giirl.feedback.desk import Desk
 from giirl.feedback.page import Pages
 from giirl.feedback.selector import Selector
-from giirl.feedback.server import FeedbackServer, run
+from giirl.feedback.server import FeedbackServer
 from giirl.feedback.stage import Stage
 from giirl.run.folder import RunFolder
 from giirl.run.record import check_recordable
 from giirl.run.worlds import open_web_run, world_of
+from giirl.signals import handling
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.files import folder_lock, is_locked
@@ -52,11 +53,16 @@ async def _play_and_serve(
     server: FeedbackServer, port: int, on_ready: Callable[[str], None], desk: Desk, selector: Selector
 ) -> None:
     """Serve until Ctrl-C, while a thread plays; what ends the thread ends the server, and is raised."""
-    stop, ended = asyncio.Event(), Event()
+    stop, ended, loop = asyncio.Event(), Event(), asyncio.get_running_loop()
+
+    def end() -> None:
+        loop.call_soon_threadsafe(stop.set)
+
     player = asyncio.create_task(asyncio.to_thread(_keep_desk_full, desk, selector, ended))
     player.add_done_callback(lambda _: stop.set())
     try:
-        await run(server, port, on_ready, stop)
+        with handling(lambda number, frame: end()):
+            await server.serve(port, on_ready, stop)
     finally:
         ended.set()
         await player
