@@ -23,6 +23,7 @@ import psutil
 
 from benchmarks.gym_equality import PackageEnv
 from browser_farm.chrome import reaper
+from browser_farm.farm import ChromeFarm
 from browser_farm.gym.env import MiniWoB
 from browser_farm.gym.vector_env import MiniWoBVector
 from giirl_core.files import writable, write_json
@@ -129,6 +130,8 @@ def main() -> None:
         theirs.instance.driver.get(theirs.instance.url)
         driver = psutil.Process(theirs.instance.driver.service.process.pid)
         browser = {driver.pid, *(child.pid for child in driver.children(recursive=True))}
+        assert isinstance(env._farm, ChromeFarm)
+        assert isinstance(envs._farm, ChromeFarm)
         sides = compare(
             {
                 "miniwob": (single_env(theirs, screenshots=True), browser),

@@ -22,7 +22,7 @@ WAIT = "wait"  # the answer of a page that is still loading: PENDING_ANSWER retu
 PENDING_ANSWER = "giirl.pendingAnswer()"
 SCROLL_DRAWN = "giirl.scrollDrawn()"  # resolves once Chrome has drawn the effect of a mouse wheel event
 Json = list[Any]
-SCRIPTS = ("clock", "focus", "keyboard", "gestures", "reading", "elements", "frame", "page")
+SCRIPTS = ("clock", "focus", "keyboard", "gestures", "attributes", "reading", "elements", "frame", "page")
 
 
 def source(name: str) -> str:

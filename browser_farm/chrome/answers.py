@@ -63,7 +63,8 @@ def decode(outcome: Any | Failure, view: pages.View) -> pages.Answer | Failure:
 
 
 def pixels(png: bytes, width: int, height: int) -> NDArray[np.uint8]:
-    """[height, width, 3] RGB of a PNG of that size; black for b""."""
+    """[height, width, 3] RGB of a PNG, which is resized if it has another size; black for b""."""
     if not png:
         return np.zeros((height, width, 3), dtype=np.uint8)
-    return np.array(Image.open(io.BytesIO(png)).convert("RGB"))
+    image = Image.open(io.BytesIO(png)).convert("RGB")
+    return np.array(image if image.size == (width, height) else image.resize((width, height)))

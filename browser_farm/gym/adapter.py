@@ -32,6 +32,8 @@ from miniwob.reward import get_original_reward
 from numpy.typing import NDArray
 
 from browser_farm.gym.elements import Elements, rgba
+from browser_farm.gym.own_pages import size_of
+from browser_farm.sites.task_file import SiteTask, is_site, load_task
 from browser_farm.tasks import page_url
 from giirl_core import keys
 from giirl_core.types import Command, Verb
@@ -80,11 +82,14 @@ class MiniWoBAdapter:
         reward_processor: Callable[[Mapping[str, Any]], float] | None = None,
         base_url: str = "",
     ) -> MiniWoBAdapter:
-        """An adapter with the package's defaults; ValueError for an unknown task, preset or key."""
+        """An adapter with the package's defaults; ValueError for an unknown task, preset or key, or a bad task file."""
         config = action_space_config
         if isinstance(config, str):
             config = ActionSpaceConfig.get_preset(config)
-        page_url(task, base_url)  # raises for an unknown task, before a browser starts
+        if is_site(task):
+            load_task(task)  # raises for a bad file, before a browser starts
+        else:
+            page_url(task, base_url)  # raises for an unknown task
         adapter = cls(
             task=task,
             action_space_config=config,
@@ -98,8 +103,15 @@ class MiniWoBAdapter:
         return adapter
 
     @property
+    def site(self) -> SiteTask | None:
+        """The task file; None for a task of MiniWoB."""
+        return load_task(self.task) if is_site(self.task) else None
+
+    @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the task's area of the page, CSS px."""
+        """Width and height of the task's area of the page: CSS px, or the units of the pages of a task file."""
+        if self.site is not None:
+            return size_of(self.site)
         flight = self.task.startswith("flight.")
         return (FLIGHT_TASK_WIDTH, FLIGHT_TASK_HEIGHT) if flight else (TASK_WIDTH, TASK_HEIGHT)
 
@@ -234,7 +246,7 @@ def _rgb_or_none(colour: str) -> str | None:
 
 
 def root_dom(page: Elements) -> Any:
-    """The page as a tree of the package's DOMElement."""
+    """The page as a tree of the package's DOMElement; a page without a single root gets one."""
     nodes: list[dict[str, Any]] = []
     for row, parent in enumerate(page.parent.tolist()):
         left, top, width, height = page.box[row].tolist()
@@ -259,4 +271,6 @@ def root_dom(page: Elements) -> Any:
         nodes.append(node)
         if parent >= 0:
             nodes[parent]["children"].append(node)
-    return DOMElement(nodes[0])
+    roots = [node for node, parent in zip(nodes, page.parent.tolist(), strict=True) if parent < 0]
+    place = dict.fromkeys(("ref", "left", "top", "width", "height"), 0)
+    return DOMElement(roots[0] if len(roots) == 1 else {"tag": "body", **place, "children": roots})

@@ -1,6 +1,6 @@
 """MiniWoB++ as a Gymnasium environment with the miniwob package's own observations and actions.
 
-`import browser_farm`, then `gymnasium.make("giirl/MiniWoB-v0", task="click-test")`.
+`import browser_farm`, then `gymnasium.make("giirl/MiniWoB-v0", task="click-test")`, or the path of a task file as task.
 """
 
 from __future__ import annotations
@@ -76,6 +76,7 @@ class MiniWoB(gymnasium.Env[ObservationDict, ActionDict]):
         self._slot = EnvSlot(self.adapter)
         self._final: tuple[float, bool, bool, dict[str, Any]] | None = None  # of the step that ended the episode
         self._farm = open_farm(
+            [self.adapter.task],
             1,
             render_mode=render_mode,
             base_url=base_url,

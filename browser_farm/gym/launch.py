@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 from browser_farm.farm import ChromeFarm
 from browser_farm.gym.elements import ELEMENTS
+from browser_farm.gym.own_pages import OwnPagesFarm
+from browser_farm.sites.task_file import is_site
 from giirl_core.config.sections import Sandbox
 
 
 def open_farm(
+    tasks: Sequence[str],
     tabs: int,
     *,
     render_mode: str | None,
@@ -20,11 +24,27 @@ def open_farm(
     trusted: bool,
     call_timeout_s: float,
     chrome_sandbox: Sandbox,
-) -> ChromeFarm:
-    """A farm whose pages are read as the package reads them; ValueError for a wait that no call would outlast."""
+) -> ChromeFarm | OwnPagesFarm:
+    """A farm whose pages are in the package's format: MiniWoB's, or those of task files.
+
+    ValueError for a wait that no call would outlast, for tasks of both kinds, and for an argument that only MiniWoB's
+    pages have.
+    """
     if not (math.isfinite(wait_ms) and 0 <= wait_ms < 1000 * call_timeout_s):
         raise ValueError(
             f"wait_ms is {wait_ms}: wanted 0 or more, and less than the {1000 * call_timeout_s:g} ms of call_timeout_s"
+        )
+    if any(map(is_site, tasks)):
+        if not all(map(is_site, tasks)):
+            raise ValueError(f"the tasks are {', '.join(tasks)}: wanted task files only, or MiniWoB's tasks only")
+        if base_url is not None or wait_ms:
+            raise ValueError("base_url and wait_ms are for MiniWoB's pages: a task file has `address` and `[wait]`")
+        return OwnPagesFarm(
+            tasks,
+            tabs,
+            headless=render_mode != "human",
+            call_timeout_s=call_timeout_s,
+            chrome_sandbox=chrome_sandbox,
         )
     return ChromeFarm(
         tabs=tabs,

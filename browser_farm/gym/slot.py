@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from browser_farm.gym.adapter import ActionDict, Fields, MiniWoBAdapter, ObservationDict, root_dom
 from browser_farm.gym.elements import Elements, elements_of
+from browser_farm.gym.own_pages import is_rewarded
 from giirl_core.types import Command, EpisodeSpec, Observation, StepResult
 
 MAX_SEED = 2**31  # exclusive, for page seeds that an environment samples
@@ -75,7 +76,10 @@ class EnvSlot:
         return self.adapter.observe(self.page, self.fields, screenshot)
 
     def info(self, result: StepResult = RESET_RESULT, *, with_dom: bool, elapsed: bool = False) -> dict[str, Any]:
-        """The package's `info`. `with_dom` adds the page as a tree of DOMElement, `elapsed` the episode's duration."""
+        """The package's `info`. `with_dom` adds the page as a tree of DOMElement, `elapsed` the episode's duration.
+
+        That of a task file has "measured": whether its rewards say anything.
+        """
         info = {
             "done": result.done,
             "env_reward": result.raw_reward if result.scaled_reward is None else result.scaled_reward,
@@ -83,6 +87,8 @@ class EnvSlot:
             "reason": result.reason or None,
             "seed": self.seed,
         }
+        if self.adapter.site is not None:
+            info["measured"] = is_rewarded(self.adapter.site)
         if elapsed:
             info["elapsed"] = time.monotonic() - self.begun_s
         if result.lost:

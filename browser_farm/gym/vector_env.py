@@ -95,6 +95,7 @@ class MiniWoBVector(VectorEnv[ObservationDict, Any, NDArray[Any]]):
         self._options = ResetOptions(data_mode=data_mode, record_screenshots=screenshots)
         self._with_dom, self._real_time, self._refresh_freq = root_dom, real_time, refresh_freq
         self._farm = open_farm(
+            tasks,
             num_envs,
             render_mode=render_mode,
             base_url=base_url,

@@ -49,16 +49,6 @@ const reading = (() => {
     return element instanceof HTMLOptionElement && element.selected ? 'checked' : '';
   }
 
-  // The attributes that describe an element, space-separated. The id is first, as in the human recordings.
-  function attributesOf(node) {
-    const values = [];
-    for (const name of ['id', 'placeholder', 'alt', 'aria-label']) {
-      const value = node.getAttribute(name);
-      if (value) values.push(collapse(value));
-    }
-    return values.join(' ');
-  }
-
   // The columns of pages.decode_page. `numbers` holds ref, parent row and flags of each row, `details` row, colour,
   // shape and attributes of the elements that have any of the three.
   function walk() {
@@ -82,7 +72,7 @@ const reading = (() => {
       const colour = (style !== null && (node.style.backgroundColor || node.style.fill || node.style.color))
         || (isSvg && node.getAttribute('fill')) || (canvasPaths.has(node) && canvasPaths.get(node).colour) || '';
       const shape = isSvg || canvasPaths.has(node) ? shapeOf(node) : '';
-      const attributes = attributesOf(node);
+      const attributes = collapse(attributesOf(node));
       if (colour || shape || attributes) details.push(row, colour, shape, attributes);
     }
 

@@ -3,7 +3,7 @@
   'use strict';
 
   // As in giirl_core.actions.Verb.
-  const CLICK = 0, TYPE = 1, APPEND = 2, SCROLL = 4, DOUBLE_CLICK = 7, ACTIVATE = 10, WAIT = 11;
+  const CLICK = 0, TYPE = 1, APPEND = 2, SCROLL = 4, DOUBLE_CLICK = 7, WAIT = 11;
   const FORMATTED = new Set(['date', 'time', 'datetime-local', 'month', 'week', 'color', 'range']);
   const LOADING_MS = 20;  // until a document that is being parsed is looked at again
 
@@ -98,7 +98,7 @@
       if (isFile(element) || (label && label.control && isFile(label.control))) return 'file inputs are refused';
     }
     if (element && reading.named(element, 'option')) {
-      if (verb === CLICK || verb === DOUBLE_CLICK || verb === ACTIVATE) select(element);
+      if (verb === CLICK || verb === DOUBLE_CLICK) select(element);
       return null;
     }
     if (element && FORMATTED.has(element.type) && (verb === TYPE || verb === APPEND)) {

@@ -164,9 +164,9 @@ const reading = (() => {
 
     function addRow(node, parent, tag, text, value, box, isOption = false) {
       const { x, y } = offsetOf(node);
-      rows.push({
-        node, parent, tag, text, value, isOption, children: 0,
-        classes: tag === 't' ? '' : node.getAttribute('class') || '',
+      const isText = tag === 't';
+      rows.push({ node, parent, tag, text, value, isOption, children: 0,
+        classes: isText ? '' : node.getAttribute('class') || '', attributes: isText ? '' : collapse(attributesOf(node)),
         box: [box.left + x, box.top + y, box.width, box.height],
       });
       if (parent >= 0) rows[parent].children += 1;
@@ -230,13 +230,13 @@ const reading = (() => {
     return [rows, watched];
   }
 
-  // A wrapper with one row in it says nothing but its class: its row is left out, and its class goes to a row without
-  // one. Returns the indices of the rows that stay.
+  // A wrapper with one row in it says nothing but its class and attributes: its row is left out, and they go to a row
+  // without. Returns the indices of the rows that stay.
   function unwrapped(rows) {
     const isWrapper = ({ children, tag }) => children === 1 && WRAPPERS.has(tag);
     for (const row of rows) {
       const outer = rows[row.parent];
-      if (outer && isWrapper(outer) && !row.classes) row.classes = outer.classes;
+      if (outer && isWrapper(outer)) for (const name of ['classes', 'attributes']) row[name] ||= outer[name];
     }
     return rows.map((_, index) => index).filter((index) => !isWrapper(rows[index]));
   }
@@ -286,7 +286,7 @@ const reading = (() => {
     const column = (get) => kept.map((index) => get(rows[index], index));
     return [[
       column(({ tag }) => tag), column(({ text }) => text), column(({ value }) => value),
-      column(({ classes }) => classes),
+      column(({ classes }) => classes), column(({ attributes }) => attributes),
       column(({ node }, index) => [refOf(node), parentOf(index), flags(node)]).flat(), column(({ box }) => box).flat(),
       all.length - kept.length,
     ], watched];

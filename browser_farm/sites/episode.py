@@ -123,14 +123,17 @@ class Episode:
         return StepResult(raw_reward=reward, done=done, observation=continues, reason=reason)
 
     def _act(self, command: Command) -> Routine[str]:
-        """Perform an action with trusted input; returns why it was refused, or ""."""
+        """Perform an action with trusted input; returns why it was refused, or "". ACTIVATE is a click, or APPEND."""
+        verb = command.verb
+        if verb is Verb.ACTIVATE:
+            verb = Verb.APPEND if command.text else Verb.CLICK
         at, by = ([length / self._scale for length in pair] for pair in (command.at, command.by))
-        action = json.dumps([int(command.verb), command.ref, command.text, *at, *by, command.to])
+        action = json.dumps([int(verb), command.ref, command.text, *at, *by, command.to])
         aim = yield from self.session.evaluate(f"giirl.aim(...{action})")
         if isinstance(aim, str):
             return aim
         if isinstance(aim, list):
-            native = Command(verb=command.verb, ref=command.ref, text=command.text, by=(by[0], by[1]))
+            native = Command(verb=verb, ref=command.ref, text=command.text, by=(by[0], by[1]))
             yield from self.session.send_input(trusted_input.events(native, aim))
         return ""
 

@@ -28,7 +28,7 @@ def decode(columns: list[Any], scale: float) -> Read:
 
     `scale` is the number of units of a CSS px.
     """
-    tag, text, value, classes, numbers, boxes, left_out = columns
+    tag, text, value, classes, attributes, numbers, boxes, left_out = columns
     table = np.array(numbers, dtype=np.int32).reshape(-1, 3)
     flags = table[:, 2]
     page = Page(
@@ -36,6 +36,7 @@ def decode(columns: list[Any], scale: float) -> Read:
         text=tuple(text),
         value=tuple(value),
         classes=tuple(classes),
+        attributes=tuple(attributes),
         ref=table[:, 0].copy(),
         parent=table[:, 1].astype(np.int16),
         box=np.array(boxes, dtype=np.float32).reshape(-1, 4) * np.float32(scale),

@@ -18,7 +18,7 @@ UNCOUNTED = frozenset(
     {"WebSocket", "EventSource", "Ping", "CSPViolationReport", "Preflight"}
 )  # never end, or no matter
 DOCUMENTS: Json = {"patterns": [{"resourceType": "Document"}]}
-SCRIPTS = ("site_reading", "site")
+SCRIPTS = ("attributes", "site_reading", "site")
 
 
 class Session:

@@ -202,6 +202,7 @@ def test_a_fork_neither_ends_nor_uses_the_chrome_of_its_parent() -> None:
     env = MiniWoB("click-test")
     try:
         env.reset(seed=1)
+        assert isinstance(env._farm, ChromeFarm)
         started = reaper.processes(Path(env._farm.chrome_directory))
         assert "must open another" in in_a_fork(lambda: env.reset(seed=2))
         assert in_a_fork(env.close) == "None"

@@ -12,6 +12,7 @@ import pytest
 
 from tests.end_to_end.cluster import all_cpus_taken, probe, ray_cluster
 from tests.end_to_end.commands import ROOT, Command, curve, find, read_json, run_folder, step
+from tests.end_to_end.prometheus import PrometheusQuery, prometheus
 
 pytestmark = [pytest.mark.ray, pytest.mark.timeout(400)]
 
@@ -75,6 +76,12 @@ def saved(run: Path) -> int:
     return int((run / "checkpoints/latest").read_text().split("-")[1])
 
 
+def scrapes_all(query: PrometheusQuery | None) -> bool:
+    """Whether Prometheus scrapes every process of a run with two actors; True where Prometheus is not installed."""
+    processes = {"learner", "actor-0", "actor-1", "reward-service-0"}
+    return query is None or {row["metric"]["process"] for row in query("up == 1")} == processes
+
+
 def test_a_submitted_job_trains_and_writes_its_result_to_the_given_folder(cluster: Cluster, folder: Path) -> None:
     with cluster.submit(folder / "tiny.toml", f"run={folder / 'run'}") as job:
         status = job.wait(timeout_s=150)
@@ -86,22 +93,27 @@ def test_a_submitted_job_trains_and_writes_its_result_to_the_given_folder(cluste
 
 
 def test_a_stopped_job_goes_on_with_the_same_command_and_leaves_nothing(cluster: Cluster, folder: Path) -> None:
-    """`ray job stop` gives a job 3 seconds, Ray's default."""
+    """`ray job stop` gives a job 3 seconds, Ray's default. Prometheus, where it is installed, scrapes both jobs."""
     run, config = folder / "stopped", folder / "long.toml"
-    config.write_text(TINY.replace("iterations = 4", "iterations = 30"))
+    config.write_text(TINY.replace("iterations = 4", "iterations = 60"))
     words = (config, f"run={run}", "actors.count=2", "actors.step_delay_s=0.2", "--resume-or-start")
-    with cluster.submit(*words) as job:
-        job.until(lambda: step(run) > 5, "first iterations", timeout_s=150)
-        cluster.stop(job)
-        job.wait()
-        reached = step(run)
-        assert reached < 30, job.output
-    assert reached - saved(run) <= 1
-    with cluster.submit(*words) as job:
-        assert job.wait(timeout_s=200) == 0, job.output
-        assert f"resuming {run} from step-" in job.output
-        assert "is given up" not in job.output
-    assert [point["step"] for point in curve(run)] == list(range(1, 31))
+    discovery = f"file_sd_configs: [{{files: ['{run / 'prometheus.json'}'], refresh_interval: 1s}}]"
+    with prometheus(folder, discovery) as query:
+        with cluster.submit(*words) as job:
+            job.until(lambda: step(run) > 5, "first iterations", timeout_s=150)
+            job.until(lambda: scrapes_all(query), "every process in Prometheus")
+            cluster.stop(job)
+            job.wait()
+            reached = step(run)
+            assert reached < 60, job.output
+        assert reached - saved(run) <= 1
+        with cluster.submit(*words) as job:
+            job.until(lambda: step(run) > reached, "next iterations", timeout_s=150)
+            job.until(lambda: scrapes_all(query), "every process in Prometheus again")
+            assert job.wait(timeout_s=200) == 0, job.output
+            assert f"resuming {run} from step-" in job.output
+            assert "is given up" not in job.output
+    assert [point["step"] for point in curve(run)] == list(range(1, 61))
     assert (run / "result.json").is_file()
     assert cluster.left(run) == []
 

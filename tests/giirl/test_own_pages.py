@@ -8,8 +8,11 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from giirl import LearnedReward
 from giirl.cli.main import giirl
 from giirl_core.wire.messages import read_episodes
+from giirl_core.wire.score_client import ScoreClient
+from tests.giirl.report.test_reward_alone import serving
 
 PAGE = """<!DOCTYPE html><h1>Guests</h1><label>Name <input id=name></label><button onclick="add()">Add</button>
 <button>Clear</button><ul id=list></ul><script>
@@ -109,3 +112,32 @@ def test_a_task_without_a_check_of_success_is_trained_and_not_evaluated(task: Pa
     assert result["tasks"] == {}
     assert result["training_episodes"] > 0
     assert "not evaluated, since the task file has no [success]" in output
+
+
+@pytest.mark.chrome
+@pytest.mark.ray
+@pytest.mark.slow
+def test_the_local_runtime_trains_with_a_relative_task_file_and_its_reward_is_served(
+    task: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tasks").mkdir()
+    for file in (task, task.with_suffix(".html"), task.with_name("experts.py")):
+        file.rename(tmp_path / "tasks" / file.name)
+    settings = ["tasks=['tasks/guests.toml']", "run=run", "demos.per_task=2", "actors.tabs=2", "evaluate.episodes=2"]
+    command("train", *FEW, *settings, "runtime=local", "evaluate.random_episodes=1")
+    result = json.loads((tmp_path / "run/result.json").read_text())
+    assert result["training_episodes"] >= 4
+    assert result["tasks"]["tasks/guests.toml"]["episodes"] == 2
+    [episode, *_] = read_episodes(tmp_path / "run/demonstrations.giirl")
+    with serving(Path("run")) as (_, address):
+        client = ScoreClient([address], identity="test", timeout_s=20.0)
+        try:
+            [rewards], version = client.score([episode.trajectory])
+        finally:
+            client.close()
+    wanted = LearnedReward("run")
+    assert version == wanted.version == 2
+    trajectory = episode.trajectory
+    own = wanted.score_batch(trajectory.pages, trajectory.actions, [trajectory.goal] * len(trajectory))
+    assert rewards.tolist() == pytest.approx(own.tolist(), abs=1e-4)

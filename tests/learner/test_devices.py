@@ -15,6 +15,8 @@ from learner.devices import learner_device, learner_threads
 from learner.learner import Learner
 from tests.learner.samples import expert_episodes, with_sampled
 
+# Torch makes the CUDA context of the thread that computes gradients when it is first needed, with a warning.
+pytestmark = pytest.mark.filterwarnings("ignore:Attempting to run cuBLAS")
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 SMALL = Config(
     runtime="local",

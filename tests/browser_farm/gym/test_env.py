@@ -58,7 +58,8 @@ def click_button(env: MiniWoB, observation: dict[str, Any], *, right: bool) -> d
     return env.create_action("CLICK_ELEMENT", ref=ref)
 
 
-def kill_browser(farm: ChromeFarm) -> None:
+def kill_browser(farm: object) -> None:
+    assert isinstance(farm, ChromeFarm)
     for pid in reaper.processes(Path(farm.chrome_directory)):
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
@@ -179,13 +180,15 @@ def test_a_step_is_one_call_to_each_tab_and_a_restart_needs_none(
 ) -> None:
     observation, _ = envs.reset(seed=20)
     calls: list[int] = []
-    ask = envs._farm._tabs.ask
+    farm = envs._farm
+    assert isinstance(farm, ChromeFarm)
+    ask = farm._tabs.ask
 
     def counting_ask(requests: dict[int, list[Any]], **options: Any) -> Any:
         calls.append(len(requests))
         return ask(requests, **options)
 
-    monkeypatch.setattr(envs._farm._tabs, "ask", counting_ask)
+    monkeypatch.setattr(farm._tabs, "ask", counting_ask)
     submit = [next((e["ref"] for e in page if e["tag"] == "button"), 0) for page in observation["dom_elements"]]
     _, _, terminated, _, _ = envs.step([{"action_type": 8, "ref": ref} for ref in submit])
     assert terminated.all()

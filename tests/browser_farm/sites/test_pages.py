@@ -103,6 +103,12 @@ def test_what_may_change_at_any_time_is_not_waited_for(player: Player) -> None:
     assert player.open("polls").page.text == ("Polls",)
 
 
+def test_the_page_has_the_attributes_that_describe_elements(player: Player) -> None:
+    page = player.open("described").page
+    found = dict(zip(page.tag, page.attributes, strict=True))
+    assert found == {"input_text": "who Your name", "img": "A cat", "button": "close Close it", "p": "", "a": "way"}
+
+
 def test_hidden_elements_have_no_rows_and_a_modal_dialog_hides_the_rest(player: Player) -> None:
     assert player.open("hidden").page.text == ("Seen",)
     assert player.open("modal").page.text == ("", "In front", "Yes")

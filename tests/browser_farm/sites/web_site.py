@@ -73,6 +73,9 @@ PAGES = {
         navigator.serviceWorker.ready.then(({active}) => { const {port1, port2} = new MessageChannel();
           port1.onmessage = ({data}) => { out.textContent = data; }; active.postMessage('ask', [port2]); })</script>""",
     "/login": "<form action=/enter method=post><input name=user aria-label=User><button>Log in</button></form>",
+    "/described": """<input id=who placeholder='Your  name'><img alt='A cat' width=9 height=9 src=data:,>
+        <button id=close aria-label='Close it' title=x>X</button><p data-x=1>word</p>
+        <nav id=way><a href=/other>Go</a></nav>""",
     "/crash": "<p>Fine</p><a href=/other>Go</a>",
     "/unload": """<script>window.addEventListener('beforeunload', (e) => e.preventDefault())</script>
         <a href=/other>Go</a>""",

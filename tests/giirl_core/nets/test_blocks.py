@@ -79,6 +79,7 @@ def test_words_and_matches_of_texts_equal_those_of_the_reference_implementation(
         assert np.allclose(found, padded_features.text_matches(case_page, goal))
 
 
+@pytest.mark.filterwarnings("ignore:Attempting to run cuBLAS")  # torch makes the CUDA context of the backward thread
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("adjacent", [False, True])
 @pytest.mark.parametrize("steps", CASES.values(), ids=CASES)
