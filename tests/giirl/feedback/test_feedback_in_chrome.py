@@ -167,7 +167,6 @@ def test_hostile_text_is_text_and_nothing_is_wider_than_the_window(width: int, w
                 "small": 0,
             }, page
             window.read(f"document.querySelector('[name=right_for]').value = {json.dumps(HOSTILE[:900])}")
-            window.read("document.querySelector('[name=key]').form.action = 'right'")
             window.read("[...document.querySelectorAll('[name=step]')].forEach((one) => { one.value = 9; })")
             window.press("1")
             window.press("w")
