@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from actors.player import AgentSpec, OpenPlayer, open_browser_player
@@ -39,9 +40,17 @@ def collect_demonstrations(
 def _read_source(
     config: Config, metrics: Metrics, display: Display, open_player: OpenPlayer
 ) -> tuple[list[Episode], str]:
-    """All episodes of the config's source, and the name of the source for errors."""
-    if config.demos.source == "scripted":
-        return make(config, metrics, display, open_player), "the scripted expert"
+    """All episodes of the config's source and of `demos.scripted_tasks`, and the name of the source for errors."""
+    for task in config.demos.scripted_tasks:
+        expert_of(task)  # a wrong name is an error
+    scripted = config.tasks if config.demos.source == "scripted" else config.demos.scripted_tasks
+    made, recorded = (tuple(t for t in config.tasks if (t in scripted) is wanted) for wanted in (True, False))
+    read, origin = _read(replace(config, tasks=recorded), display) if recorded else ([], "the scripted expert")
+    return read + (make(replace(config, tasks=made), metrics, display, open_player) if made else []), origin
+
+
+def _read(config: Config, display: Display) -> tuple[list[Episode], str]:
+    """The episodes of a file or a folder of recordings, and its name."""
     if not config.demos.path:
         raise ValueError(f"demos.source is {config.demos.source!r} and demos.path is empty: wanted a file or folder")
     path = Path(config.demos.path)

@@ -71,9 +71,9 @@ class DiscriminatorConfig:
     """Gradient updates per iteration. [updates]"""
     batch: Positive = 64
     """Expert steps in one update, and as many of every source of negatives. [steps]"""
-    rollouts: Weight = 0.25
+    rollouts: Weight = 0.1
     """Weight of steps from the newest rollouts. [relative]"""
-    replay: Weight = 0.25
+    replay: Weight = 0.1
     """Weight of steps from older rollouts. [relative]"""
     replay_size: Positive = 4096
     """Older trajectories that are kept, a uniform sample of all so far; in the grid the newest. [trajectories]"""

@@ -39,6 +39,8 @@ class DemosConfig:
     """Largest number of demonstrations of each task. [episodes]"""
     collections: tuple[str, ...] = ()
     """Sub-folders of the recordings to read. Empty reads all of them."""
+    scripted_tasks: tuple[str, ...] = ()
+    """Tasks that scripted experts demonstrate whatever the source is, say because recordings do not hold the answer."""
     noise_fraction: Share = 0.0
     """Fraction of each task's demonstrations that is replaced by episodes of the random policy."""
 

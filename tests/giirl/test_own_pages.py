@@ -12,28 +12,9 @@ from giirl import LearnedReward
 from giirl.cli.main import giirl
 from giirl_core.wire.messages import read_episodes
 from giirl_core.wire.score_client import ScoreClient
+from tests.browser_farm.sites.guests import EXPERT, PAGE, SUCCESS, TASK
 from tests.giirl.report.test_reward_alone import serving
 
-PAGE = """<!DOCTYPE html><h1>Guests</h1><label>Name <input id=name></label><button onclick="add()">Add</button>
-<button>Clear</button><ul id=list></ul><script>
-function add() { const item = document.createElement('li'); item.textContent = document.getElementById('name').value;
-  list.append(item); }</script>"""
-TASK = """
-address = "guests.html"
-instructions = 'Add the guest "{name}".'
-viewport = [640, 400]
-expert = "experts.py:add"
-[fields]
-name = ["Ada", "Grace", "Edsger", "Barbara", "Tony", "Radia", "Ken", "Hedy"]
-[end]
-selector = "#list li"
-"""
-SUCCESS = "[success]\nscript = \"document.querySelector('#list li').textContent === {name}\"\n"
-EXPERT = """
-def add(view):
-    field = view.row("input_text", "Name")
-    return view.fill({field: view.quoted()[0]}) or view.click_button("Add")
-"""
 FEW = ["runtime=serial", "net.vectors=hashed", "net.width=8", "iterations=2", "rollout_batch=2", "step_limit=3"]
 
 

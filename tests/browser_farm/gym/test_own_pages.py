@@ -13,27 +13,14 @@ from gymnasium.utils.env_checker import check_env
 import browser_farm  # noqa: F401 (registers the environment)
 from browser_farm.gym.env import MiniWoB
 from browser_farm.gym.vector_env import MiniWoBVector
-
-PAGE = """<!DOCTYPE html><h1>Guests</h1><label>Name <input id=name></label><button onclick="add()">Add</button>
-<button>Clear</button><ul id=list></ul><script>
-function add() { const item = document.createElement('li'); item.textContent = document.getElementById('name').value;
-  list.append(item); }</script>"""
-TASK = """
-address = "guests.html"
-instructions = 'Add the guest "{name}".'
-viewport = [640, 400]
-[fields]
-name = ["Ada", "Grace", "Edsger", "Barbara"]
-[end]
-selector = "#list li"
-"""
-SUCCESS = "[success]\nscript = \"document.querySelector('#list li').textContent === {name}\"\n"
+from tests.browser_farm.sites.guests import EXPERT, PAGE, SUCCESS, TASK
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A folder with a page and two task files for it."""
     (tmp_path / "guests.html").write_text(PAGE)
+    (tmp_path / "experts.py").write_text(EXPERT)
     (tmp_path / "guests.toml").write_text(TASK + SUCCESS)
     (tmp_path / "unmeasured.toml").write_text(TASK)
     return tmp_path

@@ -27,7 +27,7 @@ from giirl_core.nets.parameters import hash_nets
 from gridcraft.instructions import ColourPair
 from gridcraft.layouts import named_layout
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 EXPERIMENT = ROOT / "experiments" / "gridcraft.toml"
 PNG = b"\x89PNG\r\n"
 QUICK = ["iterations=2", "rollout_batch=2", "discriminator.updates=1", "policy.updates=2", "grid.random_episodes=5"]
