@@ -66,6 +66,11 @@ class Window:
     def until_text(self, words: str) -> None:
         self.until(f"document.readyState === 'complete' && document.body.innerText.includes({json.dumps(words)})")
 
+    def until_asked(self, key: str) -> None:
+        self.until(
+            f"document.readyState === 'complete' && document.querySelector('[name=key]')?.value === {json.dumps(key)}"
+        )
+
     def press(self, key: str) -> None:
         code = {"Tab": 9, "Enter": 13, "Escape": 27}.get(key, ord(key[0].upper()))
         text = {"Enter": "\r"}.get(key, key if len(key) == 1 else "")
@@ -134,9 +139,9 @@ def test_the_answer_before_is_changed_with_the_keyboard(window: Window, tmp_path
         window.press("r")
         window.until_text("Answers so far: 1")
         window.press("c")
-        window.until(f"document.querySelector('[name=key]')?.value === {json.dumps(one.key)}")
+        window.until_asked(one.key)
         window.press("w")
-        window.until(f"document.querySelector('[name=key]')?.value === {json.dumps(two.key)}")
+        window.until_asked(two.key)
         assert served.desk.answers == 1
     assert read_answer(tmp_path / "feedback" / one.key).wrong_from == 1
 
