@@ -32,12 +32,13 @@ from giirl_core.metrics import Metrics
 from giirl_core.progress import Display
 from giirl_core.types import Episode, Purpose, Trajectory
 
-TASKS = ("click-link", "enter-text-dynamic", "click-checkboxes")
+TASKS = ("click-tab-2", "email-inbox", "navigate-tree")
 BASE = (  # a policy that is not done yet: few demonstrations, a short training
     f"tasks={list(TASKS)!r}",
     "runtime=serial",
     "demos.per_task=5",
-    "iterations=60",
+    "iterations=100",
+    "rollout_batch=16",
     "evaluate.episodes=200",
     "evaluate.random_episodes=1",
 )
