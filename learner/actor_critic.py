@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
@@ -27,12 +29,17 @@ class ActorCritic:
        actions: half from the policy, half uniform. This is possible because a learned reward also scores actions that
        were not taken. It ignores consequences, but it cannot get stuck: a policy that never types still learns which
        typing the reward favours.
+
+    With a cloned prior pi_0 the objective is E[sum_t gamma^(t-1) r_t - alpha KL(pi || pi_0)]. That is the objective
+    above with the reward r + alpha log pi_0(a | s, g).
     """
 
     def __init__(self, config: PolicyConfig, net: PolicyNet, *, metrics: Metrics) -> None:
         self.config, self.net, self._metrics = config, net, metrics
         self.optimiser = torch.optim.Adam(net.parameters(), lr=config.learning_rate, fused=True)
         self.entropy = config.entropy  # the current alpha
+        self.frozen = False  # train the value alone
+        self.prior = copy_net(net) if config.prior == "clone" else None
 
     def update(self, rollouts: Sequence[Example], rewards: Sequence[Tensor]) -> dict[str, float]:
         """Gradient steps on rollouts. Returns the statistics of the last step.
@@ -49,12 +56,15 @@ class ActorCritic:
         device = self.net.device
         batch, actions = batch.to(device), join(taken, sampled).to(device)
         flat_rewards = torch.cat(list(rewards)).to(device)
+        taken_reward = flat_rewards[:, 0].sum().item() / len(rollouts)
+        if self.prior is not None:
+            flat_rewards = flat_rewards + self.entropy * log_density(self.prior, batch, actions)
         behaviour_logp, proposal, mask = behaviour_logp.to(device), proposal.to(device), mask.to(device)
         stats: dict[str, float] = {}
         for _ in range(self.config.updates):
             with timed_update(self._metrics, "policy"):
                 stats = self._train_batch(batch, actions, flat_rewards, behaviour_logp, proposal, mask)
-        return stats
+        return {**stats, "p_reward": taken_reward}
 
     def _train_batch(
         self,
@@ -67,6 +77,8 @@ class ActorCritic:
     ) -> dict[str, float]:
         encoding = self.net.encoder(batch)
         logp, entropy = self.net.evaluate(encoding, actions)
+        if self.frozen:
+            encoding = replace(encoding, summary=encoding.summary.detach())
         value = self.net.state_value(encoding)
         current_logp, values = _by_episode(logp[:, 0].detach(), mask), _by_episode(value.detach(), mask)
         taken_rewards = _by_episode(rewards[:, 0], mask)
@@ -76,14 +88,14 @@ class ActorCritic:
         objective = (advantages[mask] * logp[:, 0]).mean()
         cross_entropy = -(soft_optimal(rewards[:, 1:], proposal, self.entropy) * logp[:, 1:]).sum(1).mean()
         value_error = (targets[mask] - value).pow(2).mean()
-        loss = -self.config.vtrace_weight * objective + cross_entropy
-        loss = loss - self.entropy * entropy.mean() + self.config.value_loss_weight * value_error
+        loss = self.config.value_loss_weight * value_error
+        if not self.frozen:
+            loss = loss - self.config.vtrace_weight * objective + cross_entropy - self.entropy * entropy.mean()
         gradient_step(self.optimiser, self.net, loss)
         return {
             "p_entropy": entropy.mean().item(),
             "p_distance": cross_entropy.item(),
             "p_value_error": value_error.item(),
-            "p_reward": taken_rewards.sum(1).mean().item(),
             "p_ratio": (current_logp[mask] - behaviour_logp[mask]).exp().mean().item(),
         }
 
@@ -95,6 +107,18 @@ def soft_optimal(rewards: Tensor, proposal: Tensor, alpha: float) -> Tensor:
     were sampled from; it need not be normalised.
     """
     return (rewards / alpha - proposal).softmax(1)
+
+
+def copy_net(net: PolicyNet) -> PolicyNet:
+    """A copy without gradients. It shares the word vectors."""
+    return copy.deepcopy(net, {id(net.encoder.table): net.encoder.table}).requires_grad_(False)
+
+
+@torch.no_grad()
+def log_density(net: PolicyNet, batch: Batch, actions: ActionBatch) -> Tensor:
+    """log pi(a | s, g) of `actions` [B, M], nats."""
+    logp: Tensor = net.evaluate(net.encoder(batch), actions)[0]
+    return logp
 
 
 def gradient_step(optimiser: torch.optim.Optimizer, net: nn.Module, loss: Tensor) -> None:

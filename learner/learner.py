@@ -91,7 +91,8 @@ class Learner:
         self.policy.entropy = linear_decay(
             self.config.policy.entropy, self.config.policy.final_entropy_fraction, progress
         )
-        anneal(self.cloner, progress)
+        self.policy.frozen = step < self.config.policy.frozen_iterations
+        anneal(self.cloner, 1.0 if self.config.policy.bc_warmup_updates else progress)
         anneal(self.soft_q, progress)
 
     def bc_warmup(self) -> Iterator[dict[str, float]]:
@@ -104,6 +105,8 @@ class Learner:
             anneal(self.cloner, update / updates)
             yield self.cloner.update(self.demos.sample(self.config.cloning.batch))
         self.soft_q.update_target(1.0)
+        if self.policy.prior is not None:
+            self.policy.prior.load_state_dict(self.policy.net.state_dict())
 
     def load_reward(self, weights: Weights) -> None:
         """Use the reward net of another run. ValueError if its parameters have other names or shapes."""
@@ -156,7 +159,11 @@ class Learner:
 
     def _nets(self) -> dict[str, nn.Module]:
         nets: dict[str, nn.Module] = {"policy": self.policy.net, "reward": self.discriminator.model.net}
-        return nets if self.soft_q.target is self.policy.net else {**nets, "target": self.soft_q.target}
+        if self.soft_q.target is not self.policy.net:
+            nets["target"] = self.soft_q.target
+        if self.policy.prior is not None:
+            nets["prior"] = self.policy.prior
+        return nets
 
     def _optimisers(self) -> Mapping[str, torch.optim.Optimizer]:
         return {

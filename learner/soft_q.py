@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,7 +13,7 @@ from giirl_core.metrics import Metrics, timed_update
 from giirl_core.nets.augment import rename
 from giirl_core.nets.batch import Batch, collate
 from giirl_core.nets.models import PolicyNet
-from learner.actor_critic import gradient_step
+from learner.actor_critic import copy_net, gradient_step
 from learner.data import Example, Replay, Step, collate_steps
 from learner.losses import iq_loss, sqil_loss
 
@@ -47,7 +46,7 @@ class SoftQ:
         self._rng, self._generator, self._metrics = rng, generator, metrics
         self.optimiser = torch.optim.Adam(net.parameters(), lr=config.learning_rate, fused=True)
         # SQIL bootstraps from a slow copy of the net; IQ-Learn from the net itself. The word vectors are not copied.
-        self.target = copy.deepcopy(net, {id(net.encoder.table): net.encoder.table}) if form == "sqil" else net
+        self.target = copy_net(net) if form == "sqil" else net
 
     def update(self, expert: Sequence[Example], rollouts: Sequence[Example]) -> dict[str, float]:
         """Add `rollouts` to the replay buffer, then train on steps of `expert` and of the buffer.

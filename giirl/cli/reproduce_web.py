@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from giirl.cli.options import DEMOS, JSON, OutputFolder, save_and_show, seeds
-from giirl.studies.web import STUDIES, Study, base_settings
+from giirl.studies.web import CLONING, STUDIES, Study, base_settings
 from giirl_core.files import explain, folder_lock, writable
 from giirl_core.progress import Display
 
@@ -86,6 +86,7 @@ def _reproduce(
 
     Several runs use the serial runtime, one process each. A single run has the machine to itself and uses `local`.
     """
+    from giirl.studies.fifty_two import fifty_two, fifty_two_table
     from giirl.studies.runner import evaluate_rewards, measure_transfer, plan, run_all
     from giirl.studies.summary import record, summary
     from giirl.studies.table import study_table
@@ -107,7 +108,11 @@ def _reproduce(
     result = summary(name, [record(run, evaluates_reward=study.evaluates_reward) for run in runs])
     if alone:
         result["wall_seconds"] = round(time.monotonic() - since_s, 1)
-    save_and_show(json_file, result, study_table(study.title, result))
+    table = study_table(study.title, result)
+    if study.compares_published:
+        head = fifty_two(result, study.variants[0].name, CLONING.name)
+        result, table = {**result, **head}, fifty_two_table(study.title, head, result)
+    save_and_show(json_file, result, table)
     if figure is not None:
         from giirl.figures import draw_successes
 

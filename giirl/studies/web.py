@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
+from giirl.studies import fifty_two
 from giirl.studies.runner import Variant
 
 RECORDINGS = "2017-10-16_second-turk"
@@ -108,6 +110,16 @@ FOLLOWERS = (
 )
 
 
+CLONED = ("policy.bc_warmup_updates=600",)
+FROM_CLONE = (*CLONED, "policy.prior=clone", "policy.frozen_iterations=15", "policy.learning_rate=3e-4")
+FIFTY_TWO = (
+    Variant(name="giirl from the clone", changes=FROM_CLONE),
+    Variant(name="cloning", changes=(*CLONING.changes, "iterations=300")),
+    Variant(name="giirl from nothing"),
+    Variant(name="true reward from the clone", changes=("algorithm=true_reward", *FROM_CLONE, "policy.entropy=0.006")),
+)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
     """The variants of a study and the settings that all share. `pages` per task and seed are used for evaluation."""
@@ -119,6 +131,7 @@ class Study:
     curves: bool = False  # draw success against environment steps
     evaluates_reward: bool = False  # measure whether each learned reward depends on the goal
     tuning: bool = False  # used to choose settings, on the seeds for tuning
+    compares_published: bool = False  # of fifty-two tasks; the first variant is compared
 
 
 def _budgets() -> tuple[Variant, ...]:
@@ -201,6 +214,16 @@ STUDIES = {
         title="Transfer of a reward within a family of tasks",
         variants=_families(),
         settings=("step_limit=20", "net.adjacent_elements=true"),  # up to twelve check boxes with labels next to them
+    ),
+    "fifty-two": Study(
+        title="Fifty-two tasks, one policy and one reward",
+        variants=FIFTY_TWO,
+        settings=(
+            f"tasks={json.dumps(fifty_two.TASKS)}",
+            f"demos.scripted_tasks={json.dumps(fifty_two.SCRIPTED)}",
+            "step_limit=25",
+        ),
+        compares_published=True,
     ),
     "nets": Study(title="Ablations of the nets, in policy and reward alike", variants=NETS, evaluates_reward=True),
 }

@@ -122,7 +122,8 @@ class Config:
                 f"algorithm is {self.algorithm!r} and reward_from {self.reward_from!r}: "
                 "wanted reward_from=RUN with algorithm=frozen, and only with it"
             )
-
+        if self.world == "gridcraft" and self.policy.prior == "clone":
+            raise ValueError("policy.prior is 'clone' and world 'gridcraft': wanted prior=uniform, or world=miniwob")
         lock_step = self.stream.policy_lag == 0 and self.runtime != "serial"
         if lock_step and self.held_out_goals:
             raise ValueError(

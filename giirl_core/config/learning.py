@@ -126,6 +126,17 @@ class PolicyConfig:
     """Weight of the squared error of the value. [relative]"""
     bc_warmup_updates: Annotated[int, Field(ge=0)] = 0
     """Updates of behavioural cloning before the first rollout. Their learning rate falls linearly. [updates]"""
+    frozen_iterations: Annotated[int, Field(ge=0)] = 0
+    """Iterations at the start in which the policy stays as it is: only its value and the discriminator are trained."""
+    prior: Literal["uniform", "clone"] = "uniform"
+    """Policy that the trained one stays close to, with weight `entropy`: the uniform policy (entropy), or the policy
+    after `bc_warmup_updates` (KL divergence)."""
+    cloning_updates: Annotated[int, Field(ge=0)] = 0
+    """Updates of behavioural cloning after each policy update, at the last learning rate of cloning. [updates]"""
+
+    def __post_init__(self) -> None:
+        if self.prior == "clone" and not self.bc_warmup_updates:
+            raise ValueError("policy.prior is 'clone' and policy.bc_warmup_updates is 0: wanted at least 1 update")
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)

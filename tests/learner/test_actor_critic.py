@@ -33,7 +33,7 @@ GOAL = "Type ok."
 ALPHA = 0.5
 
 
-def critic(**settings: float) -> ActorCritic:
+def critic(**settings: float | str) -> ActorCritic:
     """An actor-critic with a small net."""
     config = replace(PolicyConfig(), **settings)  # type: ignore[arg-type]
     return ActorCritic(config, policy(), metrics=Metrics())
@@ -114,6 +114,37 @@ def test_a_good_action_that_was_never_taken_is_learned_from_sampled_actions() ->
         rewards = [0.0, *(2.0 if action == good else -2.0 for action in candidates)]
         learner.update([one_step(bad, sampled=sampled)], [torch.tensor([rewards])])
     assert probabilities(learner, [good])[0] > 0.8
+
+
+def test_a_policy_with_a_cloned_prior_approaches_the_prior_weighted_by_the_reward() -> None:
+    learner = critic(
+        vtrace_weight=0.0, entropy=ALPHA, learning_rate=0.01, updates=1, prior="clone", bc_warmup_updates=1
+    )
+    actions = legal_actions(SHORT, Goal(GOAL))
+    assert learner.prior is not None
+    with torch.no_grad():
+        learner.prior.pair_head[2].bias.copy_(torch.tensor([1.0, -1.0]))  # type: ignore[operator]
+        logp, _ = learner.prior.evaluate(learner.prior.encoder(batch_of((SHORT, Goal(GOAL)))), on_one_page(actions))
+    optimal = (rewards_of(actions) / ALPHA + logp[0]).softmax(0).tolist()
+    gap = np.abs(np.array(probabilities(learner, actions)) - optimal).sum()
+    for seed in range(150):
+        sampled, candidates = sample(learner, 64, seed)
+        rewards = torch.cat([torch.zeros(1), rewards_of(candidates)]).unsqueeze(0)
+        stats = learner.update([one_step(actions[0], sampled=sampled)], [rewards])
+    assert np.abs(np.array(probabilities(learner, actions)) - optimal).sum() < 0.5 * gap
+    assert stats["p_reward"] == 0.0  # the learned reward alone
+
+
+def test_a_frozen_policy_keeps_its_actions_and_learns_its_value() -> None:
+    learner = critic(learning_rate=0.01)
+    actions = legal_actions(SHORT, Goal(GOAL))
+    before, value = probabilities(learner, actions), [p.detach().clone() for p in learner.net.value_head.parameters()]
+    learner.frozen = True
+    sampled, candidates = sample(learner, 32)
+    rewards = torch.cat([torch.ones(1), rewards_of(candidates)]).unsqueeze(0)
+    learner.update([one_step(actions[0], sampled=sampled)], [rewards])
+    assert probabilities(learner, actions) == before
+    assert not all(map(torch.equal, learner.net.value_head.parameters(), value))
 
 
 def test_policy_gradients_raise_rewarded_actions_and_lower_punished_ones() -> None:

@@ -80,6 +80,9 @@ DEMANDING = (
     "discriminator.gradient_penalty=0.1",
     "discriminator.replay_size=5",
     "policy.bc_warmup_updates=2",
+    "policy.prior=clone",
+    "policy.frozen_iterations=1",
+    "policy.cloning_updates=1",
 )
 
 

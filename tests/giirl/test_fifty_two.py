@@ -1,0 +1,69 @@
+"""The study of fifty-two tasks: its summary, its table, its tasks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from giirl.studies.fifty_two import PUBLISHED, SCRIPTED, TASKS, fifty_two, fifty_two_table, mean_with_interval
+from giirl.studies.summary import summary
+from giirl_core.config_file import load_config
+from tests.end_to_end.commands import ROOT
+
+
+def record(variant: str, seed: int, success: float) -> dict[str, Any]:
+    """The record of one run with the same success on 100 pages of every task."""
+    row = {"episodes": 100, "success": success, "random": 0.25, "random_episodes": 100}
+    reached = {"0.95": dict.fromkeys(TASKS), "0.99": dict.fromkeys(TASKS)}
+    return {
+        "variant": variant,
+        "seed": seed,
+        "tasks": dict.fromkeys(TASKS, row),
+        "seconds": 10.0 + seed,
+        "env_steps": 5,
+        "demonstrations": {},
+        "episodes_to": reached,
+        "env_steps_to": reached,
+        "lowest_last_third": {},
+    }
+
+
+def study() -> dict[str, Any]:
+    runs = [record("giirl", 0, 0.9), record("giirl", 1, 1.0), record("cloning", 0, 0.5)]
+    return summary("fifty-two", runs)
+
+
+def test_the_tasks_are_those_of_the_experiment() -> None:
+    config = load_config(ROOT / "experiments/miniwob_fifty_two.toml", [])
+    assert sorted(config.tasks) == sorted(TASKS)
+    assert sorted(config.demos.scripted_tasks) == sorted(SCRIPTED)
+    assert len(TASKS) == 52
+    assert sum("wge" in row for row in PUBLISHED.values()) == 48
+
+
+def test_the_summary_compares_each_task_with_people_and_the_mean_with_cloning() -> None:
+    head = fifty_two(study(), "giirl", "cloning")
+    assert head["mean"] == head["mean_wge_48"] == 0.95
+    assert head["cloning_mean"] == 0.5
+    assert head["tasks_at_human"] == sum(row["human"] <= 0.95 for row in PUBLISHED.values())
+    assert (head["seeds"], head["seconds"]) == ([0, 1], 11.0)
+    row = head["tasks"]["click-color"]
+    assert (row["episodes"], row["success"], row["source"]) == (200, 0.95, "scripted")
+    assert head["tasks"]["click-link"]["source"] == "recordings"
+
+
+def test_the_interval_of_the_mean_holds_seeds_and_pages() -> None:
+    runs = [record("giirl", 0, 0.9), record("giirl", 1, 1.0)]
+    both, one = mean_with_interval(runs, TASKS), mean_with_interval(runs[:1], TASKS)
+    assert both["low"] == pytest.approx(0.9, abs=0.02)
+    assert both["high"] == 1.0
+    assert one["low"] < 0.9 < one["high"]
+    assert one["high"] - one["low"] < 0.03
+
+
+def test_the_table_has_a_row_for_each_task_and_the_mean() -> None:
+    result = study()
+    table = fifty_two_table("title", fifty_two(result, "giirl", "cloning"), result)
+    assert table.row_count == 53
+    assert [column.header for column in table.columns][:4] == ["task", "giirl", "cloning", "random"]
