@@ -26,12 +26,19 @@ def stopping(stop: Event) -> Iterator[None]:
             raise KeyboardInterrupt
         stop.set()
 
-    before = on_signals(request_stop)
+    with handling(request_stop):
+        yield
+
+
+@contextmanager
+def handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Call `handler` for Ctrl-C, SIGTERM and SIGHUP in this block."""
+    before = on_signals(handler)
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, earlier in before.items():
+            signal.signal(number, earlier)
 
 
 def on_signals(handler: Callable[[int, FrameType | None], None]) -> dict[int, Any]:

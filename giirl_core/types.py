@@ -54,6 +54,7 @@ class Purpose(IntEnum):
     EVALUATE = 3
     INSPECT = 4
     RANDOM = 5
+    FEEDBACK = 6
 
 
 def page_seed(purpose: Purpose, run_seed: int, index: int) -> int:

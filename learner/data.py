@@ -79,9 +79,14 @@ class ExpertSampler:
         self._featurise = functools.lru_cache(WRONG_GOAL_CACHE)(  # few pages and few goals, so the pairs recur
             lambda example, t, goal: featurise(example.trajectory.pages[t], goal, vectors)
         )
+        self._first = [featurise_trajectory(trajectory, vectors) for trajectory in demonstrations]
+        self.join(())
+
+    def join(self, further: Sequence[Example]) -> None:
+        """D_E is now the demonstrations of the run and these further ones, in place of those of an earlier call."""
         self._examples: dict[str, list[Example]] = {}  # of each task
-        for trajectory in demonstrations:
-            self._examples.setdefault(trajectory.task, []).append(featurise_trajectory(trajectory, vectors))
+        for example in (*self._first, *further):
+            self._examples.setdefault(example.trajectory.task, []).append(example)
         self._tasks = sorted(self._examples)
         self._goals: dict[str, list[Goal]] = {}  # of each task
         # What experts do under each (task, goal): such an action is correct there, so it is not used as a negative.

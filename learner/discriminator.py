@@ -74,6 +74,7 @@ class Discriminator:
         self.config, self.model, self.demos, self.replay = config, model, demos, replay
         self._reward_lag, self._metrics = reward_lag, metrics
         self.accuracy = 1.0
+        self.marked_wrong: Sequence[Step] = ()  # by people; see learner/feedback.py
         self.optimiser = torch.optim.Adam(model.net.parameters(), lr=config.learning_rate, fused=True)
         self._rng, self._generator = rng, generator
         self._rewards_used = {"service": 0, "learner": 0}  # by the process that computed them
@@ -144,6 +145,7 @@ class Discriminator:
             "rollouts": self._newest_steps(rollouts),
             "replay": [pick(old, rng) for old in self.replay.sample(config.batch)] if config.replay else [],
             "wrong_goal": self.demos.wrong_goals(expert) if config.wrong_goal else [],
+            "feedback": self._sample(self.marked_wrong) if config.feedback else [],
         }
         batch, taken = collate_steps([step for part in steps.values() for step in part])
         device = self.model.device
@@ -165,6 +167,10 @@ class Discriminator:
         steps = steps_of(rollouts)
         if self.config.train_on == "final_steps":
             steps = [last_step(rollout, self._rng) for rollout in rollouts]
+        return self._sample(steps)
+
+    def _sample(self, steps: Sequence[Step]) -> list[Step]:
+        """At most `batch` of the steps, sampled without replacement."""
         chosen = self._rng.permutation(len(steps))[: self.config.batch]
         return [steps[i] for i in chosen.tolist()]
 

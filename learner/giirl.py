@@ -19,7 +19,7 @@ def giirl(config: Config, learner: LearnerParts, source: Source, steps: Iterable
     demos, discriminator, policy = learner.demos, learner.discriminator, learner.policy
     for step in steps:
         rollouts = learner.featurise(source.take(config.rollout_batch))  # collect tau_pi by executing pi on task xi
-        expert = demos.sample(config.discriminator.batch)  # tau_E, g_E from D_E
+        expert = demos.sample(config.discriminator.batch)  # tau_E, g_E from D_E, which people may extend
         d = discriminator.update(expert, rollouts, policy.net)  # binary logistic regression (eq. 3.2)
         rewards = discriminator.rewards(rollouts, version=step + 1)  # r(s, a | g) = log D - log(1 - D)
         p = policy.update(rollouts, rewards)  # policy optimisation (eq. 3.1)

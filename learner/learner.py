@@ -25,6 +25,7 @@ from learner.cloning import Cloner
 from learner.data import Example, ExpertSampler, Replay, carried_rewards, featurise_trajectory
 from learner.devices import learner_device
 from learner.discriminator import Discriminator
+from learner.feedback import Heard
 from learner.schedules import anneal, anneal_discriminator, linear_decay
 from learner.soft_q import SoftQ
 
@@ -73,6 +74,11 @@ class Learner:
     def carried_rewards(self, rollouts: Sequence[Example]) -> list[Tensor]:
         """The rewards [T, 1 + M] stored in the rollouts."""
         return [carried_rewards(example) for example in rollouts]
+
+    def hear(self, heard: Heard) -> None:
+        """Answers of people join the demonstrations and the negatives, in place of those of an earlier call."""
+        self.demos.join(heard.demonstrations)
+        self.discriminator.marked_wrong = heard.wrong
 
     def anneal(self, step: int) -> None:
         """Set the learning rates and the entropy weight for `step` in 0 .. iterations - 1.

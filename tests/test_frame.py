@@ -53,6 +53,7 @@ NAMES_MODULES = {
 SOLE_IMPORTER = {
     "PIL": "browser_farm/chrome/answers.py",
     "fastapi": "reward_service/http_api.py",
+    "aiohttp": "giirl/feedback/server.py",
     "jinja2": "giirl/report/render.py",
     "matplotlib": "giirl/figures.py",
     "miniwob": "browser_farm/gym/adapter.py",

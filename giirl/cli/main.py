@@ -18,6 +18,7 @@ from rich.table import Column, Table
 from giirl.cli.actors import actors
 from giirl.cli.bench import bench
 from giirl.cli.demos import demos
+from giirl.cli.feedback import feedback, feedback_study
 from giirl.cli.operate import clean, status, stop
 from giirl.cli.options import JSON, RUN, Place, place, save_and_show
 from giirl.cli.play import play
@@ -38,6 +39,7 @@ from giirl_core.progress import Display
 CONFIG = click.argument("config", required=False)
 OVERRIDES = click.argument("overrides", nargs=-1)
 EXTRAS = {  # optional package, by import name: the extra that installs it
+    "aiohttp": "report",
     "django": "examples",
     "fastapi": "http",
     "fastapi_offline": "http",
@@ -158,10 +160,12 @@ giirl.add_command(status)
 giirl.add_command(stop)
 giirl.add_command(demos)
 giirl.add_command(play)
+giirl.add_command(feedback)
 giirl.add_command(reproduce)
 giirl.add_command(report)
 giirl.add_command(reward)
 giirl.add_command(tasks)
+reproduce.add_command(feedback_study)
 for study in commands():
     reproduce.add_command(study)
 

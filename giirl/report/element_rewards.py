@@ -31,6 +31,7 @@ class ScoredPage:
     goal: Goal
     policy_action: Action | None  # None where the page has no legal action
     best: tuple[ScoredAction, ...]  # the highest-reward action on each element; empty without a learned reward
+    policy_logp: float = 0.0  # nats, log-probability of `policy_action`
 
     @property
     def top(self) -> ScoredAction | None:

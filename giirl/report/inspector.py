@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from giirl_core.metrics import Metrics
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.parameters import load_net
 from giirl_core.nets.reward import build_policy, build_reward
-from giirl_core.types import Browser, Command, EpisodeSpec, Goal, Observation, Outcome, Purpose, page_seed
+from giirl_core.types import Command, EpisodeSpec, Goal, Observation, Outcome, Purpose, page_seed
 from giirl_core.weights import Weights
 
 PIXEL_RATIO = 2.0  # image pixels per CSS px in screenshots
@@ -28,12 +28,17 @@ MAX_SEED = 1 << 53  # largest integer that JavaScript represents exactly
 class Inspector:
     """Plays the greedy policy, one page at a time. `reward` is None for algorithms that learn no reward."""
 
-    def __init__(self, config: Config, policy: Weights, reward: Weights | None, metrics: Metrics) -> None:
-        net = build_policy(config)
-        load_net(net, policy)
-        self._agent = PolicyAgent(net, load_vectors(config.net.vectors), version=policy.version, greedy=True)
-        self._reward = build_reward(config, reward) if reward is not None else None
-        self._config = config
+    def __init__(
+        self,
+        config: Config,
+        policy: Weights,
+        reward: Weights | None,
+        metrics: Metrics,
+        *,
+        screenshots: bool = True,
+    ) -> None:
+        self._config, self._screenshots = config, screenshots
+        self.load(policy, reward)
         self._browser = open_browser(replace(config, actors=replace(config.actors, tabs=1)), metrics)
 
     def __enter__(self) -> Inspector:
@@ -41,6 +46,17 @@ class Inspector:
 
     def __exit__(self, *_: object) -> None:
         self._browser.close()
+
+    def load(self, policy: Weights, reward: Weights | None) -> None:
+        """Play and score with other weights from now on. ValueError if they are corrupt or of another net."""
+        net = build_policy(self._config)
+        load_net(net, policy)
+        self._agent = PolicyAgent(net, load_vectors(self._config.net.vectors), version=policy.version, greedy=True)
+        self._reward = build_reward(self._config, reward) if reward is not None else None
+
+    def episode(self, spec: EpisodeSpec) -> EpisodeView:
+        """Play one page to the end, under its own instruction alone. RuntimeError if it does not open."""
+        return self._play(self._open(spec), None)
 
     def strips(self, task: str, count: int) -> Iterator[EpisodeView]:
         """Play the first `count` inspection pages of a task to the end.
@@ -53,7 +69,10 @@ class Inspector:
         ]
         goals = [self._open(spec).goal for spec in specs]
         for number, spec in enumerate(specs[:count]):
-            yield self._play(spec, [goal for goal in goals[number:] + goals[:number] if goal != goals[number]])
+            observation = self._open(spec)
+            swap = swap_goal(observation)
+            others = [goal for goal in goals[number:] + goals[:number] if goal != goals[number]]
+            yield self._play(observation, swap.goal if swap is not None else next(iter(others), None))
 
     def page(self, spec: EpisodeSpec, other: Goal | None) -> EpisodeView:
         """The first step of one page, under its own instruction and under `other`.
@@ -73,11 +92,10 @@ class Inspector:
             raise RuntimeError(reason)
         return opened[TAB]
 
-    def _play(self, spec: EpisodeSpec, others: Sequence[Goal]) -> EpisodeView:
-        observation: Observation | None = self._open(spec)
-        assert observation is not None
-        swap = swap_goal(observation)
-        other = swap.goal if swap is not None else next(iter(others), None)
+    def _play(self, first: Observation, other: Goal | None) -> EpisodeView:
+        """Play the page that is open to its end, with each step also under `other`."""
+        spec = first.episode
+        observation: Observation | None = first
         frames: list[Frame] = []
         while True:
             assert observation is not None
@@ -95,18 +113,20 @@ class Inspector:
     def _frame(self, observation: Observation, other: Goal | None) -> Frame:
         return Frame(
             page=observation.page,
-            screenshot=_screenshot(self._browser, visible_area(observation.page)),
+            screenshot=self._screenshot(visible_area(observation.page)),
             own=self._score(observation),
             other=self._score(replace(observation, goal=other)) if other is not None else None,
         )
 
     def _score(self, observation: Observation) -> ScoredPage:
-        page, goal, action = observation.page, observation.goal, None
+        page, goal, action, logp = observation.page, observation.goal, None, 0.0
         if page.leaf.any():
-            action = self._agent.select_actions([observation], np.zeros((1, 1, 3), np.float32))[0].action
+            (decision,) = self._agent.select_actions([observation], np.zeros((1, 1, 3), np.float32))
+            action, logp = decision.action, decision.logp
         best = score_elements(self._reward, page, goal) if self._reward is not None else ()
-        return ScoredPage(goal=goal, policy_action=action, best=best)
+        return ScoredPage(goal=goal, policy_action=action, best=best, policy_logp=logp)
 
-
-def _screenshot(browser: Browser, area: Box) -> bytes | None:
-    return browser.screenshot(TAB, (area.x, area.y, area.width, area.height), scale=PIXEL_RATIO) or None
+    def _screenshot(self, area: Box) -> bytes | None:
+        if not self._screenshots:
+            return None
+        return self._browser.screenshot(TAB, (area.x, area.y, area.width, area.height), scale=PIXEL_RATIO) or None

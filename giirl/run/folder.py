@@ -41,6 +41,7 @@ class RunFolder:
         self.identity_file = path / "identity"
         self.incarnations = path / "incarnations"
         self.actors = path / "actors"
+        self.feedback = path / "feedback"
         # What a run writes before its first checkpoint, without the config. Its identity stays when it begins again:
         # on a cluster, processes of the try before may still be there.
         self._identity_files = (self.keys, self.identity_file, self.incarnations)

@@ -14,6 +14,7 @@ from browser_farm.human.site_recorder import SiteRecorder
 from browser_farm.human.steps import Interrupted
 from browser_farm.mixed import check_task
 from browser_farm.sites.task_file import is_site
+from giirl_core.config.sections import Sandbox
 from giirl_core.progress import Display
 from giirl_core.types import Episode, EpisodeSpec, Purpose, page_seed
 
@@ -36,12 +37,17 @@ def record(
     `have` are those of an earlier recording: they count, and their pages are not shown again. Ctrl-C or closing the
     window ends the recording early. ValueError for a wrong task, or without a screen.
     """
+    check_recordable(tasks)
+    return _recorded(tasks, per_task, seed, display, have)
+
+
+def check_recordable(tasks: Sequence[str]) -> None:
+    """ValueError for a task that cannot be recorded, and without a screen."""
     for task in tasks:
         check_task(task)
         if task.startswith("flight."):
             raise ValueError(f"{task} cannot be recorded: its site is in a frame, wanted a task with a single page")
     check_screen()
-    return _recorded(tasks, per_task, seed, display, have)
 
 
 def _recorded(
@@ -62,9 +68,11 @@ def _recorded(
                     return
 
 
-def open_recorder(tasks: Sequence[str]) -> Recorder | SiteRecorder:
+def open_recorder(tasks: Sequence[str], chrome_sandbox: Sandbox = "auto") -> Recorder | SiteRecorder:
     """The recorder of tasks of one kind: its windows are open."""
-    return SiteRecorder(tasks) if is_site(tasks[0]) else Recorder()
+    if is_site(tasks[0]):
+        return SiteRecorder(tasks, chrome_sandbox=chrome_sandbox)
+    return Recorder(chrome_sandbox=chrome_sandbox)
 
 
 def watch(

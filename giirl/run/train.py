@@ -37,6 +37,7 @@ from learner.algorithms import LOOPS
 from learner.checkpoint import save_checkpoint
 from learner.data import with_env_reward
 from learner.devices import device_memory_bytes, learner_device, learner_threads
+from learner.feedback import Feedback
 from learner.learner import Learner
 
 COUNTS = "counts.json"  # in a checkpoint
@@ -117,6 +118,7 @@ class Session:
         self._stop, self._own_address, self._display = stop, own_address, display
         self._runtime: Runtime | None = None
         self._job: Job | None = None
+        self._feedback = Feedback(folder.feedback, config, learner.vectors)
         self._rollouts: list[Episode] = []  # of the current step
         self._consistent = True  # False between take and observe, when a checkpoint would lose rollouts
         self._targets: dict[str, str] = {}
@@ -192,6 +194,9 @@ class Session:
         for step in range(self._learner.version, self._config.iterations):
             raise_if(self._stop)
             self._learner.anneal(step)
+            if (heard := self._feedback.read()) is not None:
+                self._learner.hear(heard)
+                self._display.say(f"answers of people that the run learns from: {len(self._feedback)}")
             yield step
 
     def _observe(self, step: int, stats: dict[str, float]) -> None:

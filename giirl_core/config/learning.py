@@ -47,8 +47,8 @@ class LearnerConfig:
 class DiscriminatorConfig:
     """Discriminator: logistic regression of expert against policy (Luo 2019, eq. 3.2).
 
-    `rollouts`, `replay`, `policy_on_expert_states`, `random_actions` and `wrong_goal` weigh the sources of negative
-    samples. Only their proportions matter. Plain Algorithm 1 has `rollouts` alone.
+    `rollouts`, `replay`, `policy_on_expert_states`, `random_actions`, `wrong_goal` and `feedback` weigh the sources of
+    negative samples. Only their proportions matter. Plain Algorithm 1 has `rollouts` alone.
     """
 
     reward: RewardForm = "logit"
@@ -83,6 +83,8 @@ class DiscriminatorConfig:
     """Weight of uniformly random actions, half in expert states and half in the policy's. [relative]"""
     wrong_goal: Weight = 0.25
     """Weight of expert steps under another instruction of the same task. [relative]"""
+    feedback: Weight = 0.5
+    """Weight of steps that people marked as wrong in `giirl feedback`. Without answers it has no effect. [relative]"""
     rename_prob: Share = 0.5
     """Probability that a sample's words are replaced by random ones, consistently in instruction and page."""
     position_jitter: Weight = 0.1
