@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from browser_farm.experts import NoAction
-from giirl_core.nets.action_batch import join, random_actions
+from giirl_core.nets.action_batch import collate_candidates, join, random_actions
 from giirl_core.nets.batch import collate
 from giirl_core.nets.features import featurise
 from giirl_core.nets.language import Vectors
@@ -82,6 +82,13 @@ class PolicyAgent:
         table = join(actions.columns(1, by_policy), random).table().numpy().astype(np.int16)
         table_logp = torch.cat([logp[:, 1:], self.net.evaluate(encoding, random)[0]], dim=1).numpy()
         return [Decision(action, p, self.version, table[b], table_logp[b]) for b, (action, p) in enumerate(decisions)]
+
+    @torch.no_grad()
+    def log_probabilities(self, observation: Observation, actions: Sequence[Action]) -> NDArray[np.float32]:
+        """[M] log pi(a | s, g) of M actions on one page, nats. Actions that the nets know, see `Action.learnable`."""
+        encoding = self.net.encoder(collate([featurise(observation.page, observation.goal, self.vectors)]))
+        logp: NDArray[np.float32] = self.net.evaluate(encoding, collate_candidates(actions))[0][0].numpy()
+        return logp
 
 
 class ExpertAgent:

@@ -12,7 +12,7 @@ from giirl_core.metrics import Metrics
 from giirl_core.types import Browser, Command, EpisodeSpec, Observation, StepResult
 
 
-def open_browser(config: Config, metrics: Metrics, *, tabs: int = 0) -> Browser:
+def open_browser(config: Config, metrics: Metrics, *, tabs: int = 0, headless: bool = True) -> Browser:
     """Start the browser and wait until it is ready; it has as many tabs as the config says, or `tabs`.
 
     `metrics` counts its restarts by cause.
@@ -27,6 +27,7 @@ def open_browser(config: Config, metrics: Metrics, *, tabs: int = 0) -> Browser:
             call_timeout_s=config.actors.call_timeout_s,
             launch_timeout_s=config.actors.launch_timeout_s,
             chrome_sandbox=config.actors.chrome_sandbox,
+            headless=headless,
             on_restart=lambda cause: metrics.browser_recoveries.labels(cause).inc(),
             on_count=lambda what, count: metrics.page_limits.labels(what).inc(count),
         )

@@ -76,6 +76,7 @@ def open_farm(
     launch_timeout_s: float,
     chrome_sandbox: Sandbox,
     on_restart: Callable[[str], None],
+    headless: bool = True,
     on_count: Callable[[str, int], None] = lambda what, count: None,
 ) -> Browser:
     """The farm that plays these tasks. It is the one of their kind; only tasks of both kinds need both."""
@@ -88,6 +89,7 @@ def open_farm(
                     tabs=tabs,
                     call_timeout_s=call_timeout_s,
                     launch_timeout_s=launch_timeout_s,
+                    headless=headless,
                     chrome_sandbox=chrome_sandbox,
                     on_restart=on_restart,
                 )
@@ -99,6 +101,7 @@ def open_farm(
                     tabs=tabs,
                     call_timeout_s=call_timeout_s,
                     launch_timeout_s=launch_timeout_s,
+                    headless=headless,
                     chrome_sandbox=chrome_sandbox,
                     on_restart=on_restart,
                     on_count=on_count,

@@ -10,6 +10,8 @@ from giirl_core import lazy_exports
 __all__ = [
     "Config",
     "LearnedReward",
+    "LearnedRewardVectorWrapper",
+    "LearnedRewardWrapper",
     "RunFolder",
     "evaluate",
     "load_config",
@@ -24,6 +26,8 @@ __all__ = [
 _MODULES = {
     "Config": "giirl_core.config",
     "LearnedReward": "giirl.run.api",
+    "LearnedRewardVectorWrapper": "giirl.adapters.wrappers",
+    "LearnedRewardWrapper": "giirl.adapters.wrappers",
     "RunFolder": "giirl.run.folder",
     "evaluate": "giirl.run.api",
     "load_config": "giirl_core.config_file",
@@ -35,6 +39,7 @@ _MODULES = {
 }
 
 if TYPE_CHECKING:
+    from giirl.adapters.wrappers import LearnedRewardVectorWrapper, LearnedRewardWrapper
     from giirl.run.api import LearnedReward, evaluate, load_policy, load_reward, train
     from giirl.run.folder import RunFolder
     from giirl_core.config import Config

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ _TEXT_INPUTS = ("text", "password", "email", "search", "number", "date", "time")
 TYPABLE_TAGS = frozenset({"textarea", *(f"input_{kind}" for kind in _TEXT_INPUTS)})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Page:
     """The visible elements of a page at one moment: a table of E rows, one for each element, in document order.
 
@@ -46,6 +46,13 @@ class Page:
 
     def __len__(self) -> int:
         return len(self.tag)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the other is a page of the same class with equal columns."""
+        if not isinstance(other, Page) or type(other) is not type(self):
+            return False
+        pairs = ((getattr(self, one.name), getattr(other, one.name)) for one in fields(self))
+        return all(np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b for a, b in pairs)
 
     @property
     def leaf(self) -> NDArray[np.bool_]:

@@ -22,6 +22,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.table import Column, Table
+from rich.text import Text
 
 LOG_INTERVAL_S = 10.0
 PROXIED = "rich_proxied_file"
@@ -114,11 +115,26 @@ def _bar_columns(width: int) -> list[ProgressColumn]:
     return [SpinnerColumn(), title, BarColumn(bar_width=20), count, TimeElapsedColumn(), TimeRemainingColumn(), note]
 
 
+def visible(text: str) -> str:
+    """A text without control characters, which a terminal would obey: a web page may have written it."""
+    return "".join(c if c.isprintable() or c in "\n\t" else "�" for c in text)
+
+
+class _Plain(Console):
+    """A console that prints text as it is: it has no markup, emoji codes or control characters."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(markup=False, emoji=False, **options)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        return super().render_str(visible(text), **options)
+
+
 class Display:
     """The output of a command: messages and progress to standard error, tables of results to standard output."""
 
     def __init__(self) -> None:
-        self.console = Console(file=_Messages())  # type: ignore[arg-type]
+        self.console = _Plain(file=_Messages())
 
     def say(self, text: str) -> None:
         """Print a line that stays on the terminal."""
@@ -129,7 +145,7 @@ class Display:
         for column in table.columns:
             if column.overflow != "fold":
                 column.min_width = max(map(cell_len, _unbroken(column)))
-        console = Console()
+        console = _Plain()
         needed = Measurement.get(console, console.options.update(max_width=WIDEST), table).minimum
         if needed > console.width and console.is_terminal:
             console.print("\n".join(_as_list(table)), highlight=False, markup=False, soft_wrap=True)

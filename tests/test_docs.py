@@ -34,7 +34,7 @@ FOLDERS = (
     "actors|benchmarks|browser_farm|deploy|docs|experiments|giirl|giirl_core|gridcraft|learner|reward_service|tests"
 )
 SETTING = re.compile(r"([a-z_]+(?:\.[a-z_]+)*)=\S*")
-PYTHON_API = ("docs/farm.md", "docs/gymnasium.md")  # key=value in these are arguments of functions
+PYTHON_API = ("docs/farm.md", "docs/gymnasium.md", "docs/reward.md")  # key=value in these are arguments of functions
 OLD_SETTINGS = "CHANGELOG.md"  # lists old and new names
 OLD_NAMES_LISTED = (OLD_SETTINGS, "giirl_core/renamed_settings.py", "tests/old_names.py", "tests/test_docs.py")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import shutil
+import sys
 import tempfile
 import threading
 from collections.abc import Sequence
@@ -115,6 +116,12 @@ def uses_sandbox(wanted: Sandbox) -> bool:
     return os.geteuid() != 0  # Chrome refuses to run as root with its sandbox
 
 
+def check_screen() -> None:
+    """ValueError if there is no screen for the windows of a Chrome."""
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ValueError("there is no screen: DISPLAY is not set, wanted a desktop or xvfb-run")
+
+
 class Chrome:
     """One running Chrome; `end` kills its processes and removes its files.
 
@@ -123,7 +130,7 @@ class Chrome:
 
     `extra_flags` are added to FLAGS; of two with the same name the last one holds.
 
-    Raises CannotLaunch or LaunchFailed, and ValueError for a wrong GIIRL_CHROME_SANDBOX.
+    Raises CannotLaunch or LaunchFailed, and ValueError for a wrong GIIRL_CHROME_SANDBOX, or without a screen.
     """
 
     def __init__(
@@ -136,6 +143,8 @@ class Chrome:
         extra_flags: Sequence[str] = (),
     ) -> None:
         with_sandbox = uses_sandbox(sandbox)
+        if not headless:
+            check_screen()
         self._binary = find("GIIRL_CHROME", CHROMES, "Chrome")
         self._program = find("GIIRL_CHROMEDRIVER", DRIVERS, "chromedriver")
         self._timeout_s = timeout_s

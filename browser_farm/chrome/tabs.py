@@ -194,7 +194,10 @@ class Tabs:
         self._hubs = [self._open_hub(range(self._count)[first::hubs]) for first in range(hubs)]
         # Chrome's first tab has a renderer process of its own.
         self._devtools.post(BROWSER, "Target.closeTarget", {"targetId": self._chrome.first_target})
-        self._hide_tabs()
+        if self._headless:
+            self._hide_tabs()
+        else:
+            self.show(0)
 
     def _open_hub(self, numbers: Sequence[int]) -> Hub:
         tools = self._tools

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from browser_farm.pages import View
+from browser_farm.pages import View, decode_page
 from giirl_core.types import Observation, Page
 
 WINDOW = (780, 437)  # CSS px: size of the viewport in the miniwob package's own Chrome
@@ -19,7 +19,7 @@ WHITE = (1.0, 1.0, 1.0, 1.0)
 CHANNEL = re.compile(r"[\d.]+")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Elements(Page):
     """A Page whose rows are the package's DOM elements, with its refs: negative for lines of text."""
 
@@ -30,11 +30,12 @@ class Elements(Page):
     flags: NDArray[np.int8]  # [E, 4] focused, tampered, targeted, leaf
     background: tuple[str, ...]  # [E] CSS colour, "" for lines of text
     foreground: tuple[str, ...]  # [E] likewise
+    agent_page: Page | None = None  # as the agents of this project read it, with refs of this table; None if not read
 
 
 def decode_elements(columns: list[Any]) -> Elements:
     """An Elements page from the columns that elements.js returns."""
-    (utterance, fields), tag, text, raw_value, id_, classes, numbers, boxes, colours = columns
+    (utterance, fields), tag, text, raw_value, id_, classes, numbers, boxes, colours, *rows = columns
     table = np.array(numbers, dtype=np.int32).reshape(-1, 5)
     flags = ((table[:, 2:3] & FLAGS) != 0).astype(np.int8)
     return Elements(
@@ -54,6 +55,7 @@ def decode_elements(columns: list[Any]) -> Elements:
         flags=flags,
         background=tuple(colours[index] for index in table[:, 3].tolist()),
         foreground=tuple(colours[index] for index in table[:, 4].tolist()),
+        agent_page=decode_page(rows[0]) if rows else None,
     )
 
 
@@ -73,6 +75,7 @@ def rgba(colour: str) -> tuple[float, float, float, float]:
     return red / 255, green / 255, blue / 255, alpha
 
 
+AGENT_ELEMENTS = "elementsAndRows"  # the reader of a view whose pages have their `agent_page`
 ELEMENTS = View(
     reader="elements",
     decode=decode_elements,

@@ -59,6 +59,7 @@ class MiniWoB(gymnasium.Env[ObservationDict, ActionDict]):
         real_time: bool = False,  # the page's own clock, time limit and time-scaled rewards
         record_screenshots: bool | None = None,  # None: only in real time
         root_dom: bool = True,  # False omits the tree of DOMElement from `info`, which saves time
+        agent_page: bool = False,  # "page", "goal" and "action" in `info`, as the agents of this project know them
         trusted: bool = False,  # coordinates and keys as Chrome's native input, like the package's: slower
         call_timeout_s: float = 10.0,
         chrome_sandbox: Sandbox = "auto",
@@ -73,7 +74,7 @@ class MiniWoB(gymnasium.Env[ObservationDict, ActionDict]):
         screenshots = real_time if record_screenshots is None else record_screenshots
         self._options = ResetOptions(data_mode=data_mode, record_screenshots=screenshots)
         self._with_dom, self._real_time, self._refresh_freq = root_dom, real_time, refresh_freq
-        self._slot = EnvSlot(self.adapter)
+        self._slot = EnvSlot(self.adapter, agent_page=agent_page)
         self._final: tuple[float, bool, bool, dict[str, Any]] | None = None  # of the step that ended the episode
         self._farm = open_farm(
             [self.adapter.task],
@@ -82,6 +83,7 @@ class MiniWoB(gymnasium.Env[ObservationDict, ActionDict]):
             base_url=base_url,
             wait_ms=wait_ms,
             real_time=real_time,
+            agent_page=agent_page,
             trusted=trusted,
             call_timeout_s=call_timeout_s,
             chrome_sandbox=chrome_sandbox,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from browser_farm.farm import ChromeFarm
-from browser_farm.gym.elements import ELEMENTS
+from browser_farm.gym.elements import AGENT_ELEMENTS, ELEMENTS
 from browser_farm.gym.own_pages import OwnPagesFarm
 from browser_farm.sites.task_file import is_site
 from giirl_core.config.sections import Sandbox
@@ -21,6 +21,7 @@ def open_farm(
     base_url: str | None,
     wait_ms: float,
     real_time: bool,
+    agent_page: bool,
     trusted: bool,
     call_timeout_s: float,
     chrome_sandbox: Sandbox,
@@ -48,7 +49,12 @@ def open_farm(
         )
     return ChromeFarm(
         tabs=tabs,
-        view=replace(ELEMENTS, real_time=real_time, wait_ms=wait_ms),
+        view=replace(
+            ELEMENTS,
+            reader=AGENT_ELEMENTS if agent_page else ELEMENTS.reader,
+            real_time=real_time,
+            wait_ms=wait_ms,
+        ),
         base_url=base_url or "",
         headless=render_mode != "human",
         trusted=trusted,

@@ -93,5 +93,6 @@ def _with_elements(observation: Observation) -> Observation:
         flags=flags.astype(np.int8),
         background=("",) * len(page),
         foreground=("",) * len(page),
+        agent_page=page,
     )
     return replace(observation, page=elements)

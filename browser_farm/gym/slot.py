@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from browser_farm.gym.adapter import ActionDict, Fields, MiniWoBAdapter, ObservationDict, root_dom
+from browser_farm.gym.agent_action import agent_action
 from browser_farm.gym.elements import Elements, elements_of
 from browser_farm.gym.own_pages import is_rewarded
-from giirl_core.types import Command, EpisodeSpec, Observation, StepResult
+from giirl_core.types import Action, Command, EpisodeSpec, Goal, Observation, StepResult
 
 MAX_SEED = 2**31  # exclusive, for page seeds that an environment samples
 DATA_MODES = ("train", "test", "default")
@@ -43,13 +44,16 @@ class ResetOptions:
 class EnvSlot:
     """The state of one environment: its task, page seed and current page."""
 
-    def __init__(self, adapter: MiniWoBAdapter) -> None:
-        self.adapter = adapter
+    def __init__(self, adapter: MiniWoBAdapter, *, agent_page: bool = False) -> None:
+        """`agent_page` adds to `info` what an agent of this project sees and does."""
+        self.adapter, self.agent_page = adapter, agent_page
         self.seed = 0
         self.page: Elements | None = None  # None before the first episode and after the end of one
         self.fields: Fields = ()
         self.episodes = 0  # begun so far
         self.begun_s = 0.0  # time.monotonic() at the beginning of the episode
+        self.goal = Goal("-")  # of the episode
+        self._actions: list[Action | None] = []  # the action since the last `info`, as an agent's; None for others
 
     def sample_episode(self, rng: np.random.Generator, options: ResetOptions, seed: int | None = None) -> EpisodeSpec:
         """The episode with this page seed, or with one that `rng` samples."""
@@ -59,11 +63,14 @@ class EnvSlot:
     def begin(self, observation: Observation) -> None:
         self.episodes, self.begun_s = self.episodes + 1, time.monotonic()
         self.seed, self.page = observation.episode.seed, elements_of(observation)
-        self.fields = self.adapter.fields(self.page)
+        self.fields, self.goal = self.adapter.fields(self.page), observation.goal
 
     def command(self, action: ActionDict | None, following: EpisodeSpec | None = None) -> Command:
         assert self.page is not None, "begin() comes first"
-        return replace(self.adapter.command(action, self.page, self.fields), following=following)
+        command = self.adapter.command(action, self.page, self.fields)
+        if self.agent_page and self.page.agent_page is not None:
+            self._actions = [agent_action(command, self.page.agent_page, self.goal)]
+        return replace(command, following=following)
 
     def advance(self, result: StepResult) -> None:
         """Take over the page after an action; None if the episode is over."""
@@ -78,9 +85,10 @@ class EnvSlot:
     def info(self, result: StepResult = RESET_RESULT, *, with_dom: bool, elapsed: bool = False) -> dict[str, Any]:
         """The package's `info`. `with_dom` adds the page as a tree of DOMElement, `elapsed` the episode's duration.
 
-        That of a task file has "measured": whether its rewards say anything.
+        That of a task file has "measured": whether its rewards say anything. With `agent_page` there are "page" and
+        "goal" while an episode goes on, and "action" after a step: None for one that agents do not know.
         """
-        info = {
+        info: dict[str, Any] = {
             "done": result.done,
             "env_reward": result.raw_reward if result.scaled_reward is None else result.scaled_reward,
             "raw_reward": result.raw_reward,
@@ -93,6 +101,10 @@ class EnvSlot:
             info["elapsed"] = time.monotonic() - self.begun_s
         if result.lost:
             info["lost"] = result.lost
+        if self._actions:
+            info["action"] = self._actions.pop()
+        if self.agent_page and self.page is not None:
+            info["page"], info["goal"] = self.page.agent_page, self.goal
         if with_dom and self.page is not None:
             info["root_dom"] = root_dom(self.page)
         return info

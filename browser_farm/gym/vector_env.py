@@ -27,8 +27,8 @@ Flags = NDArray[np.bool_]
 class VectorSlot(EnvSlot):
     """A slot whose episodes follow one another without a reset."""
 
-    def __init__(self, adapter: MiniWoBAdapter) -> None:
-        super().__init__(adapter)
+    def __init__(self, adapter: MiniWoBAdapter, *, agent_page: bool = False) -> None:
+        super().__init__(adapter, agent_page=agent_page)
         self.rng, _ = np_random(None)
         self.following: EpisodeSpec | None = None  # the episode that the farm opens when this one ends
         self.opened: Observation | None = None  # its first observation, once the farm has opened it
@@ -68,6 +68,7 @@ class MiniWoBVector(VectorEnv[ObservationDict, Any, NDArray[Any]]):
         real_time: bool = False,
         record_screenshots: bool | None = None,
         root_dom: bool = False,
+        agent_page: bool = False,
         trusted: bool = False,
         call_timeout_s: float = 10.0,
         chrome_sandbox: Sandbox = "auto",
@@ -90,7 +91,7 @@ class MiniWoBVector(VectorEnv[ObservationDict, Any, NDArray[Any]]):
         )
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._slots = [VectorSlot(adapters[index % len(adapters)]) for index in range(num_envs)]
+        self._slots = [VectorSlot(adapters[index % len(adapters)], agent_page=agent_page) for index in range(num_envs)]
         screenshots = real_time if record_screenshots is None else record_screenshots
         self._options = ResetOptions(data_mode=data_mode, record_screenshots=screenshots)
         self._with_dom, self._real_time, self._refresh_freq = root_dom, real_time, refresh_freq
@@ -101,6 +102,7 @@ class MiniWoBVector(VectorEnv[ObservationDict, Any, NDArray[Any]]):
             base_url=base_url,
             wait_ms=wait_ms,
             real_time=real_time,
+            agent_page=agent_page,
             trusted=trusted,
             call_timeout_s=call_timeout_s,
             chrome_sandbox=chrome_sandbox,

@@ -167,5 +167,21 @@ const elements = (() => {
     WOB_EPISODE_ID += 1;
   }
 
-  return { walk, reset, nodeOf: (ref) => (ref === 0 ? null : nodes.get(ref)) };
+  // The ref of a node in the last walk; 0 for one that has none.
+  function refIn(node) {
+    const ref = node instanceof Element ? Number(node.getAttribute('data-wob_ref')) : 0;
+    return nodes.get(ref) === node ? ref : 0;
+  }
+
+  return { walk, reset, refIn, nodeOf: (ref) => (ref === 0 ? null : nodes.get(ref)) };
 })();
+
+// The same, and then the columns of reading.walk(), with the refs of the elements.
+const elementsAndRows = {
+  ...elements,
+  walk() {
+    const columns = elements.walk(), rows = reading.walk(), numbers = rows[4];
+    for (let at = 0; at < numbers.length; at += 3) numbers[at] = elements.refIn(reading.nodeOf(numbers[at]));
+    return [...columns, rows];
+  },
+};

@@ -293,7 +293,7 @@ const reading = (() => {
   }
 
   return {
-    read, number, rectsOf, boxOf, offsetOf, named, isEditable, isDrawn, innerDocument, nodeOf: (ref) => nodes.get(ref),
-    mark: (node) => { tampered.add(node); },
+    read, number, rectsOf, boxOf, offsetOf, named, isEditable, isDrawn, innerDocument, refOf,
+    nodeOf: (ref) => nodes.get(ref), mark: (node) => { tampered.add(node); },
   };
 })();

@@ -18,7 +18,7 @@ import numpy as np
 
 from browser_farm.chrome import trusted_input
 from browser_farm.sites import outside
-from browser_farm.sites.fields import fill
+from browser_farm.sites.fields import fill, resolve
 from browser_farm.sites.page import CANCEL, OK, WIDTH, decode
 from browser_farm.sites.quiet import settle
 from browser_farm.sites.routines import Routine, ScriptThrew, TabFailed, Wait, sleep
@@ -27,6 +27,7 @@ from browser_farm.sites.task_file import Condition, SiteTask
 from giirl_core.types import Command, EpisodeSpec, Goal, Observation, Page, StepResult, Verb
 
 T = TypeVar("T")
+PASSWORD = "input_password"  # tag of a password field
 FILES_REFUSED = "file inputs are refused"  # as in site.js
 APPEAR_POLL_S = 0.05
 OUTSIDE_TIMEOUT_S = 60.0  # of a program or a request of a task file
@@ -60,8 +61,9 @@ class Episode:
         self.address = fill(address, self.drawn.values, lambda value: quote(value, safe=""))
         self.left_out = 0  # elements of the last page that were not shown
         self.script_error = ""  # of the last condition whose script threw
-        self._scale = WIDTH / task.file.viewport[0]
+        self.scale = WIDTH / task.file.viewport[0]
         self._next_ref = 1
+        self._passwords: frozenset[int] = frozenset()  # refs of the password fields of the last page
 
     @property
     def dialog(self) -> str:
@@ -81,17 +83,17 @@ class Episode:
                 raise TabFailed("outside", f"begin.request {begin.request!r} was answered with status {status}")
         yield from self.session.open(setup)
         yield from self.session.navigate(self.address, file.wait.deadline_s)
-        page = yield from self._look()
+        page = yield from self.look()
         if file.login.expired and (yield from self.holds(file.login.expired)):
             raise TabFailed("login_expired", f"the login has expired: the first page is {self.session.address}")
         if self.session.status >= FIRST_ERROR_STATUS:
             raise TabFailed("unreachable", f"{self.session.address} was answered with status {self.session.status}")
         if begin.script:
             yield from self.session.evaluate(f"{{{self._script(begin.script)}}}; true", in_page=True)
-            page = yield from self._look()
+            page = yield from self.look()
         if begin.selector:
             yield from self._appear(begin.selector)
-            page = yield from self._look()
+            page = yield from self.look()
         return self._observation(page)
 
     def _appear(self, selector: str) -> Routine[None]:
@@ -112,13 +114,13 @@ class Episode:
         else:
             reason = yield from self._act(command)
         self.session.traffic.touch()  # the page is quiet if nothing comes of the action for a while
-        page = yield from self._look()
+        page = yield from self.look()
         if self.session.file_chooser:
             reason = FILES_REFUSED
         elif len(self.session.refused) > refused:
             reason = f"the origin of {self.session.refused[-1]} is not among the allowed"
         done = bool(self.task.file.end) and self.session.dialog is None and (yield from self.holds(self.task.file.end))
-        reward = (yield from self._reward(done=done)) if done or command.last else 0.0
+        reward = (yield from self.verdict(done=done)) if done or command.last else 0.0
         continues = None if done or command.last else self._observation(page)
         return StepResult(raw_reward=reward, done=done, observation=continues, reason=reason)
 
@@ -127,15 +129,23 @@ class Episode:
         verb = command.verb
         if verb is Verb.ACTIVATE:
             verb = Verb.APPEND if command.text else Verb.CLICK
-        at, by = ([length / self._scale for length in pair] for pair in (command.at, command.by))
-        action = json.dumps([int(verb), command.ref, command.text, *at, *by, command.to])
+        text = self._secret(command.text) if command.ref in self._passwords else command.text
+        at, by = ([length / self.scale for length in pair] for pair in (command.at, command.by))
+        action = json.dumps([int(verb), command.ref, text, *at, *by, command.to])
         aim = yield from self.session.evaluate(f"giirl.aim(...{action})")
         if isinstance(aim, str):
             return aim
         if isinstance(aim, list):
-            native = Command(verb=verb, ref=command.ref, text=command.text, by=(by[0], by[1]))
+            native = Command(verb=verb, ref=command.ref, text=text, by=(by[0], by[1]))
             yield from self.session.send_input(trusted_input.events(native, aim))
         return ""
+
+    def _secret(self, text: str) -> str:
+        """The password that a reference in a demonstration stands for."""
+        try:
+            return resolve(text, self.drawn.values)
+        except ValueError as error:
+            raise TabFailed("outside", str(error)) from error
 
     def _answer(self, command: Command) -> Routine[str]:
         """Act on an open dialog. What is no click, key or text for it has no effect."""
@@ -152,7 +162,8 @@ class Episode:
             yield from self.session.answer(accept=button != CANCEL, text=dialog.text)
         return ""
 
-    def _look(self) -> Routine[Page]:
+    def look(self) -> Routine[Page]:
+        """Wait until the page is quiet and read it; an open dialog is all that is seen."""
         file = self.task.file
         columns = yield from settle(self.session, file.wait, self._next_ref, file.max_elements)
         if columns is None:
@@ -161,11 +172,12 @@ class Episode:
             page, self.left_out = dialog.page(dialog.first_ref or self._next_ref), 0
         else:
             try:
-                read = decode(columns, self._scale)
+                read = decode(columns, self.scale)
             except (ValueError, TypeError, OverflowError) as error:
                 raise TabFailed("page_error", str(error)) from error
             page, self.left_out = read.page, read.left_out
         self._next_ref = max(self._next_ref, 1 + int(page.ref.max(initial=0)))
+        self._passwords = frozenset(int(page.ref[row]) for row, tag in enumerate(page.tag) if tag == PASSWORD)
         return page
 
     def _observation(self, page: Page) -> Observation:
@@ -189,7 +201,7 @@ class Episode:
                 return False
         return True
 
-    def _reward(self, *, done: bool) -> Routine[float]:
+    def verdict(self, *, done: bool) -> Routine[float]:
         """1 for success and -1 for failure, 0 at the step limit; of a task without a check, 1 if it ended by itself."""
         success = self.task.file.success
         if not success:

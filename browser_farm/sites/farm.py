@@ -9,18 +9,12 @@ from types import TracebackType
 from typing import TypeVar
 
 from browser_farm.chrome.answers import Failure
-from browser_farm.chrome.devtools import BROWSER, BrowserGone, DevTools, Json, browser_url
-from browser_farm.chrome.launcher import Chrome
-from browser_farm.chrome.tabs import try_launching
+from browser_farm.chrome.devtools import BrowserGone, DevTools, Json
+from browser_farm.sites.browser import SiteBrowser
 from browser_farm.sites.episode import FILES_REFUSED, Episode
-from browser_farm.sites.login import login_calls
-from browser_farm.sites.origins import origin_of, resolver_rules
 from browser_farm.sites.page import WIDTH
 from browser_farm.sites.routines import Routine, run_all
 from browser_farm.sites.screenshot import png_of
-from browser_farm.sites.servers import FolderServer, Refuser
-from browser_farm.sites.session import Session
-from browser_farm.sites.task_file import SiteTask, load_task
 from giirl_core.config.sections import Sandbox
 from giirl_core.types import Command, EpisodeSpec, Observation, StepResult
 
@@ -56,22 +50,23 @@ class SiteFarm:
     ) -> None:
         if tabs < 1:
             raise ValueError(f"SiteFarm.tabs is {tabs}: wanted at least 1")
-        self._tasks: dict[str, SiteTask] = {name: load_task(name) for name in tasks}
         self.tabs = tabs
-        self._call_timeout_s, self._launch_timeout_s = call_timeout_s, launch_timeout_s
-        self._headless, self._sandbox = headless, chrome_sandbox
+        self._call_timeout_s = call_timeout_s
         self._on_restart, self._on_count = on_restart, on_count
         self._counted = 0  # refused requests
         self._episodes: dict[int, Episode] = {}
         self.unopened: dict[int, str] = {}
         self._lost: dict[int, str] = {}  # tab -> why its episode was lost, until the next step reports it
-        self._chrome: Chrome | None = None
-        self._devtools: DevTools | None = None
-        self._refuser = Refuser()
-        self._folders: dict[str, FolderServer] = {}
-        self._addresses = {name: self._address_of(task) for name, task in self._tasks.items()}
+        self._browser = SiteBrowser(
+            tasks,
+            headless=headless,
+            sandbox=chrome_sandbox,
+            call_timeout_s=call_timeout_s,
+            launch_timeout_s=launch_timeout_s,
+            on_event=self._on_event,
+        )
         try:
-            try_launching(self._launch_once)
+            self._browser.launch()
         except BaseException:
             self.close()
             raise
@@ -87,13 +82,12 @@ class SiteFarm:
     @property
     def refused(self) -> Counter[str]:
         """Requests that were refused, by host and port."""
-        return self._refuser.refused
+        return self._browser.refuser.refused
 
     @property
     def chrome_directory(self) -> str:
         """The directory of this farm's Chrome, by which `reaper.processes` finds its processes."""
-        assert self._chrome is not None
-        return str(self._chrome.directory)
+        return str(self._browser.chrome.directory)
 
     def reset(self, episodes: Mapping[int, EpisodeSpec]) -> dict[int, Observation]:
         """Open an episode in each tab."""
@@ -144,23 +138,19 @@ class SiteFarm:
 
     def close(self) -> None:
         """End Chrome and the servers of the farm."""
-        self._end_chrome()
-        for folder in self._folders.values():
-            folder.close()
-        self._folders.clear()
-        self._refuser.close()
+        self._browser.close()
 
     # ---- episodes
 
     def _check(self, tabs: Iterable[int], episodes: Iterable[EpisodeSpec]) -> None:
-        if self._devtools is None:
+        if not self._browser.is_open:
             raise RuntimeError("this SiteFarm is closed")
         for tab in tabs:
             if not 0 <= tab < self.tabs:
                 raise ValueError(f"there is no tab {tab}: wanted 0 to {self.tabs - 1}")
         for spec in episodes:
-            if spec.task not in self._tasks:
-                raise ValueError(f"{spec.task!r} is not a task of this farm: it has {', '.join(self._tasks)}")
+            if spec.task not in self._browser.tasks:
+                raise ValueError(f"{spec.task!r} is not a task of this farm: it has {', '.join(self._browser.tasks)}")
 
     def _finish(self, tab: int, outcome: StepResult | Failure | None) -> StepResult:
         """Take over the outcome of a step; an episode that has ended gives its context back."""
@@ -212,20 +202,8 @@ class SiteFarm:
         routines: dict[int, Routine[Observation]] = {}
         for tab, spec in specs.items():
             self._end(tab)
-            task, address = self._tasks[spec.task], self._addresses[spec.task]
-            self._episodes[tab] = episode = Episode(task, spec, self._session(task, address), address)
-            routines[tab] = episode.begin(list(login_calls(task, episode.address)))
+            self._episodes[tab], routines[tab] = self._browser.begin(spec)
         return self._run(routines)
-
-    def _session(self, task: SiteTask, address: str) -> Session:
-        return Session(
-            self._tools,
-            proxy=self._refuser.address,
-            origins=frozenset({origin_of(address), *(origin.rstrip("/") for origin in task.file.origins)}),
-            viewport=task.file.viewport,
-            timeout_s=self._call_timeout_s,
-            on_refused=self._refuser.count,
-        )
 
     def _run(self, routines: Mapping[int, Routine[T]]) -> dict[int, T | Failure]:
         """What the routines return. {} if Chrome has died; then all episodes are lost and another Chrome is there."""
@@ -239,7 +217,7 @@ class SiteFarm:
             return {}
         for failure in failures.values():
             self._on_restart(failure.cause)
-        if refused := self._refuser.refused.total() - self._counted:
+        if refused := self.refused.total() - self._counted:
             self._counted += refused
             self._on_count("requests_refused", refused)
         return outcomes
@@ -248,52 +226,14 @@ class SiteFarm:
 
     @property
     def _tools(self) -> DevTools:
-        assert self._devtools is not None
-        return self._devtools
-
-    def _address_of(self, task: SiteTask) -> str:
-        """The address of a task's first page. Local files are served by the farm, a folder on a port of its own."""
-        if task.local_page is None:
-            return task.file.address
-        folder = str(task.folder.resolve())
-        if folder not in self._folders:
-            self._folders[folder] = FolderServer(task.folder.resolve())
-        return f"{self._folders[folder].origin}/{task.file.address}"
-
-    def _launch_once(self) -> None:
-        self._end_chrome()
-        origins = {origin for task in self._tasks.values() for origin in task.file.origins}
-        flags = [
-            f"--host-resolver-rules={resolver_rules({*origins, *map(origin_of, self._addresses.values())})}",
-            "--webrtc-ip-handling-policy=disable_non_proxied_udp",
-        ]
-        self._chrome = Chrome(
-            headless=self._headless,
-            sandbox=self._sandbox,
-            timeout_s=self._launch_timeout_s,
-            extra_flags=flags,
-        )
-        url = browser_url(self._chrome.debugger_address, timeout_s=self._launch_timeout_s)
-        self._devtools = DevTools(url, timeout_s=self._launch_timeout_s, on_event=self._on_event)
-
-    def _end_chrome(self) -> None:
-        if self._devtools is not None:
-            self._devtools.close()
-            self._devtools = None
-        if self._chrome is not None:
-            self._chrome.end()
-            self._chrome = None
+        return self._browser.tools
 
     def _relaunch(self) -> None:
         self._on_restart("browser_died")
         self._lost |= dict.fromkeys(self._episodes, "browser_died")
         self._episodes.clear()
-        try_launching(self._launch_once)
+        self._browser.launch()
 
     def _on_event(self, session: str, method: str, params: Json) -> None:
         for episode in self._episodes.values():
-            own = episode.session
-            if session == BROWSER and method == "Target.detachedFromTarget" and params.get("sessionId") == own.id:
-                own.crashed = True
-            elif session and session == own.id:
-                own.handle(method, params)
+            episode.session.hear(session, method, params)

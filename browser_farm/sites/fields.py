@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 
 PLACE = re.compile(r"\{(\w+)\}")
+REFERENCE = re.compile(r"\{(env:)?(\w+)\}")  # to a field, or to a variable of the environment
 NAME = re.compile(r"[A-Za-z]\w*")
 DRAWN = ("seed", "episode")  # placeholders of every task: the page's seed, and an id that no other episode has
 MAX_RANGE = 1_000_000
@@ -98,3 +100,17 @@ def check_template(where: str, template: str, known: set[str]) -> None:
 def fill(template: str, values: Mapping[str, str], quote: Callable[[str], str] = str) -> str:
     """The template with the values, each as `quote` writes it. Places that no value fills stay as they are."""
     return PLACE.sub(lambda m: quote(values[m[1]]) if m[1] in values else m[0], template)
+
+
+def resolve(text: str, values: Mapping[str, str]) -> str:
+    """What a reference stands for: {field} for its value, {env:NAME} for a variable of the environment.
+
+    Other text stands for itself. ValueError for a variable that is not set.
+    """
+    reference = REFERENCE.fullmatch(text)
+    if reference is None:
+        return text
+    source = os.environ if reference[1] else values
+    if reference[1] and reference[2] not in source:
+        raise ValueError(f"the environment has no {reference[2]}, which a demonstration refers to as {text}")
+    return source.get(reference[2], text)

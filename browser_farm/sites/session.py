@@ -24,7 +24,8 @@ SCRIPTS = ("attributes", "site_reading", "site")
 class Session:
     """A page and its browser context; `close` ends both. Its methods are routines that fail with TabFailed.
 
-    `handle` takes the events of its session. `refused` counts documents of origins that are not allowed.
+    `hear` takes the events of Chrome. `script` runs beside ours, in the same world. `frame` is what the window has
+    beside the page, px. `refused` counts documents of origins that are not allowed.
     """
 
     def __init__(
@@ -36,10 +37,12 @@ class Session:
         viewport: tuple[int, int],
         timeout_s: float,
         on_refused: Callable[[str], None],
+        script: str = "",
+        frame: tuple[int, int] = (0, 0),
     ) -> None:
         self._tools, self._timeout_s, self._viewport = tools, timeout_s, viewport
         self._origins, self._on_refused = origins, on_refused
-        self._proxy = proxy
+        self._proxy, self._script, self._frame = proxy, script, frame
         self.context = self.target = self.id = ""
         self.dialog: Dialog | None = None
         self.crashed = False
@@ -59,12 +62,13 @@ class Session:
         context = {"disposeOnDetach": True, "proxyServer": self._proxy, "proxyBypassList": rules}
         self.context = str((yield from self._browser("Target.createBrowserContext", context))["browserContextId"])
         width, height = self._viewport
-        page = {"url": "about:blank", "browserContextId": self.context, "width": width, "height": height}
+        window = {"width": width + self._frame[0], "height": height + self._frame[1]}
+        page = {"url": "about:blank", "browserContextId": self.context, **window}
         self.target = str((yield from self._browser("Target.createTarget", page))["targetId"])
         attach = {"targetId": self.target, "flatten": True}
         self.id = str((yield from self._browser("Target.attachToTarget", attach))["sessionId"])
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-        script = "\n".join(["(() => {", "if ('giirl' in window) return;", *map(pages.source, SCRIPTS), "})();"])
+        parts = ["(() => {", "if ('giirl' in window) return;", *map(pages.source, SCRIPTS), self._script, "})();"]
         calls: list[tuple[str, Json]] = [
             ("Page.enable", {}),
             ("Inspector.enable", {}),
@@ -73,7 +77,7 @@ class Session:
             ("Page.setInterceptFileChooserDialog", {"enabled": True}),
             ("Emulation.setDeviceMetricsOverride", size),
             ("Emulation.setFocusEmulationEnabled", {"enabled": True}),
-            ("Page.addScriptToEvaluateOnNewDocument", {"source": script, "worldName": WORLD}),
+            ("Page.addScriptToEvaluateOnNewDocument", {"source": "\n".join(parts), "worldName": WORLD}),
             ("Page.addScriptToEvaluateOnNewDocument", {"source": pages.source("site_window")}),
             *setup,
         ]
@@ -104,11 +108,12 @@ class Session:
 
     # ---- events
 
-    def handle(self, method: str, params: Json) -> None:
-        """Take an event of this session."""
-        handler = _HANDLERS.get(method)
-        if handler is not None:
-            handler(self, params)
+    def hear(self, session: str, method: str, params: Json) -> None:
+        """Take an event of Chrome, if it is one of this session."""
+        if session == BROWSER and method == "Target.detachedFromTarget" and params.get("sessionId") == self.id:
+            self.crashed = True
+        elif session and session == self.id and method in _HANDLERS:
+            _HANDLERS[method](self, params)
 
     def _request_begins(self, params: Json) -> None:
         self.traffic.begins(params)

@@ -12,7 +12,9 @@ from rich.table import Table
 
 from giirl.signals import stopping
 from giirl_core.config import Config
-from giirl_core.nets.reward import build_reward
+from giirl_core.metrics import Metrics
+from giirl_core.nets.reward import RewardModel, build_reward
+from giirl_core.telemetry.series import SERVICE
 from giirl_core.types import Episode
 from giirl_core.weights import Weights
 from giirl_core.wire.messages import read_sound_episodes
@@ -70,6 +72,22 @@ def serve_reward(config: Config, reward: Weights, port: int, on_ready: Callable[
     with stopping(stop):
         on_ready(service.address)
         service.serve(stop.is_set)
+
+
+def serve_reward_over_http(
+    reward: RewardModel, host: str, port: int, token: str, on_ready: Callable[[str], None]
+) -> None:
+    """Serve the reward as a JSON API until Ctrl-C or SIGTERM; port 0 takes any free one.
+
+    `on_ready` is called with the address. ValueError for an address beyond loopback without a token.
+    """
+    from reward_service.http_server import HttpServer
+
+    torch.set_num_threads(1)
+    server = HttpServer(reward, Metrics(SERVICE), host=host, port=port, token=token)
+    stop = Event()
+    with stopping(stop):
+        server.serve(stop, on_ready)
 
 
 def _row(episode: Episode, rewards: Sequence[float]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from giirl_core.config_file import load_config
 from giirl_core.files import explain
 from giirl_core.progress import Display
 from giirl_core.types import Episode
-from giirl_core.wire.messages import read_sound_episodes, write_episodes
+from giirl_core.wire.messages import read_episodes, read_sound_episodes, write_episodes
 
 STEP_LIMIT = "step_limit=100"  # more than any expert needs: some pages make it wait for up to 76 steps
 
@@ -63,18 +63,21 @@ def experts(tasks: tuple[str, ...], episodes: int, seed: int, json_file: Path | 
 @demos.command()
 @OUT
 @TASKS
-@click.option("--per-task", default=10, show_default=True, type=click.IntRange(1), help="Pages per task.")
+@click.option("--per-task", default=10, show_default=True, type=click.IntRange(1), help="Episodes per task.")
 @SEED
 def record(out: Path, tasks: tuple[str, ...], per_task: int, seed: int) -> None:
     """Record what you do in a Chrome window. Ctrl-C ends the recording and keeps the finished episodes.
 
+    A task is one of MiniWoB's, or a task file: beside its page a second window shows the instruction, and lets you
+    discard an episode, do it again, mark it as failed, or say that it is done. Passwords are not stored.
+
     Clicks, typing, drags, keys and scrolled text become actions. Failed episodes are kept and marked. Hovering is not
-    recorded.
+    recorded. A file that is there already is continued.
     """
     from giirl.run.record import record
 
-    episodes: list[Episode] = []
-    for episode in record(tasks or DEFAULT_TASKS, per_task, seed, Display()):
+    episodes = read_episodes(out) if out.is_file() else []
+    for episode in record(tasks or DEFAULT_TASKS, per_task, seed, Display(), episodes):
         episodes.append(episode)
         write_episodes(out, episodes)  # at once: whatever ends the recording, what a person did is there
     _save(out, episodes, wanted=None)

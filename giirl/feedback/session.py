@@ -10,6 +10,7 @@ from pathlib import Path
 from threading import Event
 
 from browser_farm.human.recorder import Recorder
+from browser_farm.sites.task_file import is_site
 from giirl.feedback.desk import Desk
 from giirl.feedback.page import Pages
 from giirl.feedback.selector import Selector
@@ -74,6 +75,8 @@ def _stage(config: Config) -> Stage:
     def check(task: str) -> None:
         if config.browser == "fake":
             raise ValueError("the fake browser has no window to show anything in")
+        if is_site(task):
+            raise ValueError(f"{task} cannot be shown here: wanted a MiniWoB task")
         check_recordable([task])
 
     return Stage(lambda: Recorder(chrome_sandbox=config.actors.chrome_sandbox), check)

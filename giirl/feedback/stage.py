@@ -9,7 +9,7 @@ from threading import Lock, Thread
 from typing import Protocol
 
 from browser_farm.chrome.devtools import BrowserGone
-from browser_farm.human.recorder import Interrupted
+from browser_farm.human.steps import Interrupted
 from giirl.feedback.selector import Candidate
 from giirl_core.files import explain
 from giirl_core.types import Episode, EpisodeSpec, Trajectory

@@ -83,7 +83,7 @@ def scale_of(config: Config) -> Scale:
 
 def score_elements(model: RewardModel, page: Page, goal: Goal) -> tuple[ScoredAction, ...]:
     """The highest-reward action on each element: a click or, in a text field, typing any span of the instruction."""
-    actions = [action for row in range(len(page)) for action in _options(page, goal, row)]
+    actions = element_actions(page, goal)
     if not actions:
         return ()
     best: dict[int, ScoredAction] = {}
@@ -91,6 +91,11 @@ def score_elements(model: RewardModel, page: Page, goal: Goal) -> tuple[ScoredAc
         if action.element not in best or reward > best[action.element].reward:
             best[action.element] = ScoredAction(action=action, reward=reward)
     return tuple(best.values())
+
+
+def element_actions(page: Page, goal: Goal) -> list[Action]:
+    """Every action that the nets know on a page: a click on each leaf, each span of the goal into each field."""
+    return [action for row in range(len(page)) for action in _options(page, goal, row)]
 
 
 def _options(page: Page, goal: Goal, row: int) -> list[Action]:
@@ -110,7 +115,7 @@ def element_name(page: Page, row: int) -> str:
 
 def describe_action(page: Page, goal: Goal, action: Action) -> str:
     """A description of an action, such as `click button “Ok”`."""
-    where = element_name(page, action.element)
+    where = element_name(page, action.element) if action.element >= 0 else "page"
     if action.verb is not Verb.TYPE:
         return f"{Verb(action.verb).name.lower()} {where}"
     text = action.text(goal) if action.start != NO_SPAN else "…"

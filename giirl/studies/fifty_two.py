@@ -15,9 +15,10 @@ from giirl.statistics import percent
 # Success of people (Liu et al. 2018), CC-Net (Humphreys et al. 2022, 2.4 million demonstrations and the true reward),
 # WGE (Liu et al. 2018, one policy per task, 10 demonstrations and the true reward) and HTML-T5-XL (Gur et al. 2024,
 # 347,000 demonstrations). Tasks named -nodelay have the figures of the task with the delay.
+_TABLE = (importlib.resources.files(__package__) / "published.csv").read_text(encoding="utf-8")
 PUBLISHED = {
     row.pop("task"): {name: float(value) for name, value in row.items() if value}
-    for row in csv.DictReader((importlib.resources.files(__package__) / "published.csv").open(encoding="utf-8"))
+    for row in csv.DictReader(_TABLE.splitlines())
 }
 TASKS = tuple(PUBLISHED)
 # Recordings of these do not hold the answer: a colour, a drawing, a choice in a native list, a secret number.

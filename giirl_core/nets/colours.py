@@ -6,7 +6,7 @@ import colorsys
 import functools
 import re
 
-_RGB = re.compile(r"rgba?\((\d+), ?(\d+), ?(\d+)")
+_RGB = re.compile(r"rgba?\((\d{1,3}), ?(\d{1,3}), ?(\d{1,3})\b")
 _HEX = re.compile(r"#[0-9a-fA-F]{6}")
 NAMED = {
     "aqua": (0, 255, 255),

@@ -154,7 +154,7 @@ def read_kind(tag: str, classes: str, attributes: str, colour: str, shape: str, 
 
 
 def _drawing(tag: str, colour: str, shape: str, drawn: str) -> frozenset[str] | None:
-    if tag != "text" and not shape:
+    if tag != "text" and not shape.split():
         return None
     kind = {"shape", shape.split()[0]} if tag != "text" else {"digit" if drawn.isdigit() else "letter"}
     return frozenset({*colour_names(colour), *kind})

@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 
 import pytest
+from rich.table import Table
 
-from giirl_core.progress import Display, duration
+from giirl_core.progress import Display, duration, visible
 
 
 def test_a_line_of_progress_has_a_time_stamp_the_rest_of_the_time_and_the_note(
@@ -27,3 +28,17 @@ def test_a_line_of_progress_has_a_time_stamp_the_rest_of_the_time_and_the_note(
 
 def test_durations_read_like_a_clock() -> None:
     assert [duration(s) for s in (0.4, 65, 3600 * 5 + 61)] == ["0:00", "1:05", "5:01:01"]
+
+
+@pytest.mark.parametrize("text", ["[/b] a :smile: [red]b", "\x1b[2J\x07gone\r", "‮reversed", "plain\tä"])
+def test_what_a_web_page_wrote_is_neither_markup_nor_obeyed_by_a_terminal(
+    text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = Table("element")
+    table.add_row(text)
+    Display().table(table)
+    Display().say(text)
+    shown = capsys.readouterr()
+    for output in (shown.out, shown.err):
+        assert visible(text).expandtabs(8).split()[0] in output
+        assert not set(output) & set("\x1b\x07\r‮")

@@ -182,3 +182,11 @@ def test_weights_with_a_wrong_checksum_are_refused() -> None:
 
 def test_the_text_of_a_sample_element_may_contain_a_colon() -> None:
     assert page("button:Ok: really").text == ("Ok: really",)
+
+
+def test_pages_are_equal_if_all_their_columns_are() -> None:
+    one, other = page("Ok", "No"), page("Ok", "No")
+    assert one == other
+    for changes in ({"text": ("Ok", "Yes")}, {"focused": np.array([True, False])}, {"box": one.box + 1}):
+        assert one != replace(other, **changes)
+    assert one != "Ok"

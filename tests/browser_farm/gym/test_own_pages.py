@@ -13,6 +13,7 @@ from gymnasium.utils.env_checker import check_env
 import browser_farm  # noqa: F401 (registers the environment)
 from browser_farm.gym.env import MiniWoB
 from browser_farm.gym.vector_env import MiniWoBVector
+from giirl_core.types import Action, Verb
 from tests.browser_farm.sites.guests import EXPERT, PAGE, SUCCESS, TASK
 
 
@@ -45,10 +46,12 @@ def add(env: MiniWoB, observation: dict[str, Any], name: str) -> tuple[dict[str,
 
 @pytest.mark.chrome
 def test_a_task_file_is_played_in_the_package_s_format(folder: Path) -> None:
-    made = gymnasium.make("giirl/MiniWoB-v0", task=str(folder / "guests.toml"))
+    made = gymnasium.make("giirl/MiniWoB-v0", task=str(folder / "guests.toml"), agent_page=True)
     env: Any = made.unwrapped
     try:
         observation, info = env.reset(seed=3)
+        page, goal = info["page"], info["goal"]
+        assert goal.utterance == observation["utterance"]
         [(key, name)] = observation["fields"]
         assert (key, observation["utterance"]) == ("name", f'Add the guest "{name}".')
         assert env.observation_space.contains(observation)
@@ -56,6 +59,7 @@ def test_a_task_file_is_played_in_the_package_s_format(folder: Path) -> None:
         assert {"body", "h1", "button"} <= {element.tag for element in info["root_dom"].subtree_elements}
         _, reward, terminated, info = add(env, observation, name)
         assert (reward, terminated, info["raw_reward"]) == (1.0, True, 1.0)
+        assert info["action"] == Action(verb=Verb.CLICK, element=page.tag.index("button"))
         observation, _ = env.reset(seed=3)
         assert dict(observation["fields"]) == {"name": name}
         _, reward, terminated, _ = add(env, observation, "Nobody")

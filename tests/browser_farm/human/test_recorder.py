@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
 from browser_farm.chrome.devtools import BrowserGone
-from browser_farm.human.recorder import Interrupted, Recorder
+from browser_farm.human.recorder import Recorder
+from browser_farm.human.steps import Interrupted
 from giirl.run.record import record, watch
 from giirl_core.progress import Display
 from giirl_core.types import Action, Episode, EpisodeSpec, Outcome, Verb
@@ -166,9 +167,10 @@ def test_typing_into_the_parts_of_a_date_field_is_one_action(recorder: Recorder)
         hand.click("button")
 
     episode = recorded(recorder, "enter-date", play)
-    month, day, year = episode.trajectory.goal.utterance.split()[1].split("/")
-    assert actions_of(episode) == [("TYPE", "input_date", f"{year}-{month}-{day}"), ("CLICK", "Submit", "")]
+    date = episode.trajectory.goal.utterance.split()[1]
+    assert actions_of(episode) == [("TYPE", "input_date", date), ("CLICK", "Submit", "")]
     assert episode.outcome.success
+    episode.trajectory.check_learnable()
 
 
 @pytest.mark.chrome
@@ -214,23 +216,44 @@ class ScriptedRecorder:
     def __init__(self, *results: Episode | BaseException | None) -> None:
         self._results = iter(results)
 
-    def record(self, spec: EpisodeSpec, show_instruction: Callable[[str], None]) -> Episode | None:
+    def record(
+        self, spec: EpisodeSpec, show_instruction: Callable[[str], None], progress: str = "", note: str = ""
+    ) -> Episode | None:
         result = next(self._results)
         if isinstance(result, BaseException):
             raise result
         return result
 
 
-@pytest.mark.parametrize("end", [KeyboardInterrupt(), BrowserGone("closed")])
-def test_finished_episodes_are_kept_however_the_recording_ends(end: BaseException) -> None:
+def episode_that_failed() -> Episode:
     click = Action(verb=Verb.CLICK, element=0)
-    finished = Episode(
+    return Episode(
         trajectory=trajectory("Click Ok.", [FLAT], [click]),
         outcome=Outcome(raw_reward=-1.0, ended=True),
     )
+
+
+@pytest.mark.parametrize("end", [KeyboardInterrupt(), BrowserGone("closed")])
+def test_finished_episodes_are_kept_however_the_recording_ends(end: BaseException) -> None:
+    finished = episode_that_failed()
     pages = [EpisodeSpec(task="click-test", seed=seed) for seed in range(5)]
-    scripted = cast(Recorder, ScriptedRecorder(finished, None, Interrupted("page_hung"), end))
-    assert list(watch(scripted, pages, Display())) == [finished]
+    scripted = ScriptedRecorder(finished, None, Interrupted("page_hung"), end)
+    assert list(watch(scripted, pages, 0, 5, Display())) == [finished]
+
+
+def test_pages_are_shown_until_enough_are_recorded_and_discarded_ones_do_not_count() -> None:
+    finished = episode_that_failed()
+    pages = [EpisodeSpec(task="click-test", seed=seed) for seed in range(9)]
+    scripted = ScriptedRecorder(finished, None, finished, finished)
+    assert list(watch(scripted, pages, 1, 3, Display())) == [finished, finished]
+    assert list(watch(scripted, pages, 3, 3, Display())) == []
+
+
+def test_many_broken_episodes_in_a_row_are_one_error() -> None:
+    pages = [EpisodeSpec(task="click-test", seed=seed) for seed in range(9)]
+    lost = [Interrupted("page_hung")] * 9
+    with pytest.raises(RuntimeError, match="click-test: 5 episodes in a row were lost, the last one: page_hung"):
+        list(watch(ScriptedRecorder(*lost), pages, 0, 3, Display()))
 
 
 def test_without_a_display_recording_is_a_value_error(monkeypatch: pytest.MonkeyPatch) -> None:

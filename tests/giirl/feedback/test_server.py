@@ -10,7 +10,7 @@ from threading import Event
 
 import pytest
 
-from browser_farm.human.recorder import Interrupted
+from browser_farm.human.steps import Interrupted
 from giirl.feedback import desk
 from giirl.feedback.stage import Stage
 from giirl_core.types import Episode, EpisodeSpec, Outcome

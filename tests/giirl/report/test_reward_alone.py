@@ -1,4 +1,4 @@
-"""The learned reward on its own: scoring episodes of a file, and serving the reward on a port."""
+"""The learned reward on its own: scoring episodes of a file, and serving the reward on a port or over HTTP."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +22,7 @@ from giirl_core.config_file import load_config
 from giirl_core.nets.reward import build_reward
 from giirl_core.wire.messages import read_episodes, write_episodes
 from giirl_core.wire.score_client import ScoreClient
+from reward_service.http_schema import ScoreRequest
 from tests.giirl.small import run
 from tests.learner.samples import expert_episodes
 
@@ -39,9 +41,9 @@ def command(*words: str | Path) -> Result:
 
 
 @contextmanager
-def serving(run: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def serving(run: Path, *options: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """Run `giirl reward serve`; yields the process and the address that it prints."""
-    words = [sys.executable, "-m", "giirl", "reward", "serve", str(run)]
+    words = [sys.executable, "-m", "giirl", "reward", "serve", str(run), *options]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         watchdog = threading.Timer(WAIT_S, process.kill)
         watchdog.start()
@@ -88,6 +90,26 @@ def test_a_served_reward_answers_until_it_is_interrupted(finished: Path) -> None
     assert "Traceback" not in errors
 
 
+def test_an_exported_reward_is_served_over_http_until_it_is_interrupted(finished: Path, tmp_path: Path) -> None:
+    exported = tmp_path / "reward.safetensors"
+    assert command("reward", "export", finished, exported).exit_code == 0
+    trajectory = read_episodes(finished / "demonstrations.giirl")[0].trajectory
+    step = trajectory.pages[0], trajectory.goal, trajectory.actions[:1]
+    sent = ScoreRequest.of(*step).model_dump_json(exclude_defaults=True).encode()
+    with serving(exported, "--http") as (process, address):
+        request = urllib.request.Request(f"{address}/score", sent, {"Content-Type": "application/json"})
+        with urllib.request.urlopen(request, timeout=WAIT_S) as answer:
+            scores = json.load(answer)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=WAIT_S)
+    assert address.startswith("http://127.0.0.1:")
+    model = build_reward(load_config(finished / "config.json"), reward_of_run(finished))
+    assert scores["rewards"] == pytest.approx(model.score_actions(*step).tolist(), abs=1e-4)
+    assert (scores["version"], scores["best_first"]) == (1, [0])
+    assert process.returncode == 0, errors
+    assert "Traceback" not in errors
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -95,6 +117,11 @@ def test_a_served_reward_answers_until_it_is_interrupted(finished: Path) -> None
         (["score", "RUN", "notes.txt"], "notes.txt is not an episode file"),
         (["score", "nowhere", "notes.txt"], "nowhere is not a run"),
         (["serve", "nowhere"], "nowhere is not a run"),
+        (["serve", "nowhere", "--http"], "nowhere is no exported reward: there is no such file"),
+        (["serve", "RUN", "--host", "0.0.0.0"], "--host and --token-file are for --http"),
+        (["serve", "RUN", "--http", "--host", "0.0.0.0"], "cannot listen on 0.0.0.0 without a token"),
+        (["serve", "RUN", "--http", "--token-file", "notes.txt"], "the token has 4 characters: wanted 16 or more"),
+        (["serve", "RUN", "--http", "--token-file", "missing"], "missing"),
         (["score", "CLONED", "notes.txt"], "learned no reward"),
         (["serve", "CLONED"], "learned no reward"),
     ],

@@ -207,3 +207,12 @@ def test_colours_have_names() -> None:
     assert colour_names("rgb(250, 10, 10)") == ("red",)
     assert colour_names("rgb(130, 130, 130)") == ("gray",)
     assert colour_names("") == colour_names("url(x)") == ()
+    assert colour_names(f"rgb({'9' * 400}, 0, 0)") == ()
+
+
+def test_a_shape_of_blanks_is_none() -> None:
+    plain = page("circle:x")
+    blank = replace(plain, shape=("  ",))
+    assert np.array_equal(
+        read(blank, "Click the circle.").element_flags, read(plain, "Click the circle.").element_flags
+    )
