@@ -42,7 +42,7 @@ BASE = (  # a policy that is not done yet: few demonstrations, a short training
     "evaluate.episodes=200",
     "evaluate.random_episodes=1",
 )
-BUDGETS = (50, 100, 200)  # answers, or further demonstrations, given so far
+BUDGETS = (100, 200)  # answers, or further demonstrations, given so far
 ITERATIONS = 40  # that a run goes on with after each of the BUDGETS
 MISTAKES = 0.05  # share of a simulated person's verdicts that are the wrong way round
 MEASURED = "feedback_study.json"  # in a run's folder
