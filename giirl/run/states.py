@@ -40,10 +40,11 @@ def state_of(path: Path) -> State:
         return State.FOREIGN
     if has_checkpoint(path / CHECKPOINTS):
         return State.SAVED
-    if _wrote(path / CONFIG_FILE):
-        return State.UNSAVED
     cut_off = f".{CONFIG_FILE}."  # what remains of a start that was killed while it wrote its first file
-    return State.FREE if all(entry.name.startswith(cut_off) for entry in path.iterdir()) else State.FOREIGN
+    # The entries come first: another process may write its config, which is its first file, at this moment.
+    if all(entry.name.startswith(cut_off) for entry in path.iterdir()):
+        return State.FREE
+    return State.UNSAVED if _wrote(path / CONFIG_FILE) else State.FOREIGN
 
 
 def check_free(path: Path) -> None:

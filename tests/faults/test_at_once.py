@@ -73,7 +73,7 @@ def test_of_runs_that_begin_in_one_folder_at_once_one_goes_on_under_its_own_conf
 
         answers = together(4, begin)
         assert answers.count(0) >= 1  # they may also come one after the other
-        assert all(answer == 0 or "another process uses" in str(answer) for answer in answers)
+        assert all(answer == 0 or "another process uses" in str(answer) for answer in answers), answers
 
 
 def test_a_second_process_does_not_get_into_a_run_that_python_created(tmp_path: Path) -> None:
@@ -110,6 +110,7 @@ def test_a_closing_terminal_saves_the_run_although_it_sends_its_signal_twice(
         signal.raise_signal(signal.SIGHUP)
         return take(self, episodes)
 
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the tests themselves may run under nohup
     with monkeypatch.context() as patch:
         patch.setattr(SerialRuntime, "take", hung_up)
         answer = giirl("train", *FEW, "run=out")
