@@ -177,7 +177,8 @@ def test_hostile_text_is_text_and_nothing_is_wider_than_the_window(width: int, w
             window.press("1")
             window.press("w")
             window.until_text("is marked as wrong")
-    assert window.console == [] or all("422" in line for line in window.console)
+    # The last page may still load when its server ends.
+    assert all("422" in line or "ERR_CONNECTION_REFUSED" in line for line in window.console), window.console
     window.console.clear()
 
 
