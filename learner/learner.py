@@ -92,7 +92,7 @@ class Learner:
             self.config.policy.entropy, self.config.policy.final_entropy_fraction, progress
         )
         self.policy.frozen = step < self.config.policy.frozen_iterations
-        anneal(self.cloner, 1.0 if self.config.policy.bc_warmup_updates else progress)
+        anneal(self.cloner, 1.0 if self.config.policy.cloning_updates else progress)
         anneal(self.soft_q, progress)
 
     def bc_warmup(self) -> Iterator[dict[str, float]]:

@@ -108,10 +108,11 @@ def _reproduce(
     result = summary(name, [record(run, evaluates_reward=study.evaluates_reward) for run in runs])
     if alone:
         result["wall_seconds"] = round(time.monotonic() - since_s, 1)
-    table = study_table(study.title, result)
     if study.compares_published:
         head = fifty_two(result, study.variants[0].name, CLONING.name)
         result, table = {**result, **head}, fifty_two_table(study.title, head, result)
+    else:
+        table = study_table(study.title, result)
     save_and_show(json_file, result, table)
     if figure is not None:
         from giirl.figures import draw_successes

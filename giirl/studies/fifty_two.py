@@ -29,11 +29,16 @@ BOOTSTRAP = 4_000  # samples
 def fifty_two(result: dict[str, Any], variant: str, cloning: str) -> dict[str, Any]:
     """The head of the study's JSON: every task of `variant` with published results, and means over the tasks.
 
-    `result` is that of `giirl.studies.summary.summary`.
+    `result` is that of `giirl.studies.summary.summary`. A task of which no page could be played is in no mean.
     """
     rows, records = result["variants"][variant]["tasks"], _records(result, variant)
+    from_people = "demos.source=recordings" in records[0]["settings"]
     tasks = {
-        task: {**rows[task], **PUBLISHED[task], "source": "scripted" if task in SCRIPTED else "recordings"}
+        task: {
+            **rows[task],
+            **PUBLISHED[task],
+            "source": "recordings" if from_people and task not in SCRIPTED else "scripted",
+        }
         for task in TASKS
     }
     wge = [task for task in TASKS if "wge" in PUBLISHED[task]]
@@ -41,7 +46,7 @@ def fifty_two(result: dict[str, Any], variant: str, cloning: str) -> dict[str, A
         "tasks": tasks,
         **mean_with_interval(records, TASKS),
         "mean_wge_48": mean_with_interval(records, wge)["mean"],
-        "tasks_at_human": sum(row["success"] >= row["human"] for row in tasks.values()),
+        "tasks_at_human": sum(row["episodes"] > 0 and row["success"] >= row["human"] for row in tasks.values()),
         "cloning_mean": mean_with_interval(_records(result, cloning), TASKS)["mean"],
         "seeds": result["variants"][variant]["seeds"],
         "seconds": max(record["seconds"] for record in records),
@@ -52,8 +57,10 @@ def fifty_two(result: dict[str, Any], variant: str, cloning: str) -> dict[str, A
 def mean_with_interval(records: Sequence[dict[str, Any]], tasks: Sequence[str]) -> dict[str, float]:
     """The mean success over tasks and seeds, and its 95 % interval.
 
-    The interval is a bootstrap over seeds, and over the pages of each task given the seed.
+    The interval is a bootstrap over seeds, and over the pages of each task given the seed. A task of which a seed could
+    play no page is left out.
     """
+    tasks = [task for task in tasks if all(record["tasks"][task]["episodes"] for record in records)]
     success = np.array([[record["tasks"][task]["success"] for task in tasks] for record in records])
     pages = np.array([[record["tasks"][task]["episodes"] for task in tasks] for record in records])
     rng = np.random.default_rng(0)
@@ -73,7 +80,7 @@ def fifty_two_table(title: str, head: dict[str, Any], result: dict[str, Any]) ->
         table.add_row(task, *own, percent(row["random"]), *(percent(row.get(name)) for name in published))
     means = [mean_with_interval(_records(result, name), TASKS) for name in names]
     cells = [f"{percent(m['mean'])} ({percent(m['low'])} - {percent(m['high'])})" for m in means]
-    random = percent(float(np.mean([row["random"] for row in head["tasks"].values()])))
+    random = percent(float(np.mean([row["random"] for row in head["tasks"].values() if row["random"] is not None])))
     others = [[row[name] for row in PUBLISHED.values() if name in row] for name in published]
     table.add_row("mean", *cells, random, *(percent(float(np.mean(values))) for values in others))
     return table

@@ -110,11 +110,15 @@ FOLLOWERS = (
 )
 
 
-CLONED = ("policy.bc_warmup_updates=600",)
-FROM_CLONE = (*CLONED, "policy.prior=clone", "policy.frozen_iterations=15", "policy.learning_rate=3e-4")
+FROM_CLONE = (
+    "policy.bc_warmup_updates=600",
+    "policy.prior=clone",
+    "policy.frozen_iterations=15",
+    "policy.learning_rate=3e-4",
+)
 FIFTY_TWO = (
     Variant(name="giirl from the clone", changes=FROM_CLONE),
-    Variant(name="cloning", changes=(*CLONING.changes, "iterations=300")),
+    Variant(name=CLONING.name, changes=(*CLONING.changes, "iterations=300")),
     Variant(name="giirl from nothing"),
     Variant(name="true reward from the clone", changes=("algorithm=true_reward", *FROM_CLONE, "policy.entropy=0.006")),
 )

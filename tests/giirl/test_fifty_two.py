@@ -19,6 +19,7 @@ def record(variant: str, seed: int, success: float) -> dict[str, Any]:
     return {
         "variant": variant,
         "seed": seed,
+        "settings": ["demos.source=recordings"],
         "tasks": dict.fromkeys(TASKS, row),
         "seconds": 10.0 + seed,
         "env_steps": 5,
@@ -51,6 +52,24 @@ def test_the_summary_compares_each_task_with_people_and_the_mean_with_cloning() 
     row = head["tasks"]["click-color"]
     assert (row["episodes"], row["success"], row["source"]) == (200, 0.95, "scripted")
     assert head["tasks"]["click-link"]["source"] == "recordings"
+
+
+def test_without_recordings_all_demonstrations_are_scripted() -> None:
+    result = study()
+    for one in result["runs"]:
+        one["settings"] = []
+    assert {row["source"] for row in fifty_two(result, "giirl", "cloning")["tasks"].values()} == {"scripted"}
+
+
+def test_a_task_that_no_browser_could_play_is_in_no_mean() -> None:
+    run, cloning = record("giirl", 0, 0.9), record("cloning", 0, 0.5)
+    run["tasks"]["click-link"] = {"episodes": 0, "success": None, "random": None, "random_episodes": 0, "missing": 200}
+    result = summary("fifty-two", [run, cloning])
+    head = fifty_two(result, "giirl", "cloning")
+    assert head["mean"] == 0.9
+    assert head["tasks"]["click-link"]["missing"] == 200
+    assert head["tasks_at_human"] == sum(row["human"] <= 0.9 for row in PUBLISHED.values())
+    assert fifty_two_table("title", head, result).row_count == 53
 
 
 def test_the_interval_of_the_mean_holds_seeds_and_pages() -> None:
