@@ -28,8 +28,8 @@ from giirl_core.metrics import Metrics
 from giirl_core.nets.reward import build_reward
 from giirl_core.telemetry.series import SERVICE
 from giirl_core.types import Action, Goal, Page, Verb
+from reward_service.http_api import open_server
 from reward_service.http_schema import ScoreRequest
-from reward_service.http_server import HttpServer
 
 CANDIDATES = 32
 START_S = 120.0  # longest start of the service
@@ -62,7 +62,7 @@ def requests() -> list[bytes]:
 def serve(address: Connection) -> None:
     """Serve an untrained reward until the process is terminated; its address goes into the pipe."""
     torch.set_num_threads(1)
-    HttpServer(build_reward(load_config(None, [])), Metrics(SERVICE)).serve(Event(), address.send)
+    open_server(build_reward(load_config(None, [])), Metrics(SERVICE)).serve(Event(), address.send)
 
 
 def latencies_ms(address: str, bodies: list[bytes]) -> list[float]:

@@ -17,10 +17,12 @@ from starlette.exceptions import HTTPException as AnyHTTPException
 
 from giirl_core.metrics import Metrics
 from giirl_core.nets.reward import RewardModel
-from reward_service.http_body import BoundedBody
+from giirl_core.processes.web_server import WebServer
+from giirl_core.wire.addresses import is_loopback
 from reward_service.http_schema import Problem, ScoreRequest, Scores, one_line, shown
 
 WAIT_S = 10.0  # longest wait of a request for those before it
+TOKEN_CHARACTERS = 16  # the least of a token
 TITLE = "The learned reward of GIIRL"
 BEARER = HTTPBearer(auto_error=False, description="The token with which the service was started.")
 RESULTS = {
@@ -38,10 +40,23 @@ REFUSALS: dict[int | str, dict[str, Any]] = {
 }
 
 
+def open_server(
+    reward: RewardModel, metrics: Metrics, *, host: str = "127.0.0.1", port: int = 0, token: str = ""
+) -> WebServer:
+    """A server of one reward, which listens. Port 0 takes any free one.
+
+    ValueError where it cannot listen, beyond loopback without a token, and for a token that is easy to guess.
+    """
+    if not token and not is_loopback(host):
+        raise ValueError(f"cannot listen on {host} without a token: wanted a loopback address, or a token")
+    if token and (len(token) < TOKEN_CHARACTERS or not token.isascii() or not token.isprintable() or " " in token):
+        raise ValueError(f"the token has {len(token)} characters: wanted {TOKEN_CHARACTERS} or more, ASCII, no spaces")
+    return WebServer(build_app(reward, metrics, token), host=host, port=port)
+
+
 def build_app(reward: RewardModel, metrics: Metrics, token: str = "") -> FastAPI:
     """The application for one reward. With a token, scores and metrics are for those who send it."""
     app = FastAPIOffline(title=TITLE, version=str(reward.version), redoc_url=None, redirect_slashes=False)
-    app.add_middleware(BoundedBody)
     guards = [Depends(_guard(token))] if token else []
     scoring = Lock()  # the nets use one thread; requests wait in threads of their own, so that others are answered
 

@@ -53,7 +53,6 @@ NAMES_MODULES = {
 SOLE_IMPORTER = {
     "PIL": "browser_farm/chrome/answers.py",
     "fastapi": "reward_service/http_api.py",
-    "aiohttp": "giirl/feedback/server.py",
     "jinja2": "giirl/report/render.py",
     "matplotlib": "giirl/figures.py",
     "miniwob": "browser_farm/gym/adapter.py",
@@ -61,7 +60,7 @@ SOLE_IMPORTER = {
     "prometheus_client": "giirl_core/telemetry/prometheus.py",
     "ray": "giirl_core/processes/ray_platform.py",
     "selenium": "browser_farm/chrome/launcher.py",
-    "uvicorn": "reward_service/http_server.py",
+    "uvicorn": "giirl_core/processes/web_server.py",
     "websocket": "browser_farm/chrome/devtools.py",
     "zmq": "giirl_core/wire/transport.py",
 }

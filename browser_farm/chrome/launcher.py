@@ -215,6 +215,8 @@ class Chrome:
     def _error(self, program: Path, said: str, cause: Cause | None, *, timed_out: bool = False) -> RuntimeError:
         """What to raise for a program that has `said` this: CannotLaunch if another attempt would fail alike."""
         when = f" within {self._timeout_s:g} s" if timed_out else ""
+        if timed_out:  # a shell that started the program reports how it was killed here
+            said = "\n".join(line for line in said.splitlines() if line.strip() != "Killed")
         why = error_line(said) or "it said nothing"
         message = f"{program} did not start{when}: {why}{f'; {cause.fix}' if cause else ''}"
         return CannotLaunch(message) if cause and cause.lasting else LaunchFailed(message)

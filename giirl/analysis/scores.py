@@ -81,10 +81,10 @@ def serve_reward_over_http(
 
     `on_ready` is called with the address. ValueError for an address beyond loopback without a token.
     """
-    from reward_service.http_server import HttpServer
+    from reward_service.http_api import open_server
 
     torch.set_num_threads(1)
-    server = HttpServer(reward, Metrics(SERVICE), host=host, port=port, token=token)
+    server = open_server(reward, Metrics(SERVICE), host=host, port=port, token=token)
     stop = Event()
     with stopping(stop):
         server.serve(stop, on_ready)

@@ -39,7 +39,6 @@ from giirl_core.progress import Display
 CONFIG = click.argument("config", required=False)
 OVERRIDES = click.argument("overrides", nargs=-1)
 EXTRAS = {  # optional package, by import name: the extra that installs it
-    "aiohttp": "report",
     "django": "examples",
     "fastapi": "http",
     "fastapi_offline": "http",

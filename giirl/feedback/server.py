@@ -1,25 +1,27 @@
-"""The HTTP server of `giirl feedback`, on loopback: hands out pages and takes answers. All else is in `Desk`."""
+"""The pages of `giirl feedback` over HTTP, on loopback: hands them out and takes answers. All else is in `Desk`."""
 
 from __future__ import annotations
 
-import asyncio
 import hmac
 import secrets
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from urllib.parse import urlencode
+from threading import Event
+from urllib.parse import parse_qsl, urlencode
 
-from aiohttp import web
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Route
 
 from giirl.feedback.desk import Desk
 from giirl.feedback.page import Pages, Said
 from giirl.feedback.stage import Stage
 from giirl_core.files import explain
+from giirl_core.processes.web_server import WebServer
 from giirl_core.wire.answers import Answer
 
-HOST = "127.0.0.1"
-MAX_REQUEST_BYTES = 1 << 16
-CLOSING_S = 2.0  # for requests under way when the server ends
 KEYS_JS = Path(__file__).with_name("keys.js")
 HEADERS = {
     "Cache-Control": "no-store",
@@ -28,18 +30,18 @@ HEADERS = {
     "X-Frame-Options": "DENY",
 }
 Form = Mapping[str, str]
-Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 class FeedbackServer:
     """Answers requests for `/TOKEN/...`. The token keeps other users of the machine out.
 
-    A page is for one window, which names itself in its address: two windows never show the same episode.
+    A page is for one window, which names itself in its address: two windows never show the same episode. It listens
+    from the start, and answers while `serve` runs. ValueError if it cannot listen on the port; 0 takes any free one.
     """
 
-    def __init__(self, desk: Desk, stage: Stage, pages: Pages) -> None:
+    def __init__(self, desk: Desk, stage: Stage, pages: Pages, port: int = 0) -> None:
         self._desk, self._stage, self._pages = desk, stage, pages
-        self.token = secrets.token_urlsafe(16)
+        self._token = secrets.token_urlsafe(16)
         self._verbs: dict[str, Callable[[str, str, Form], str]] = {
             "right": self._right,
             "wrong": self._wrong,
@@ -49,61 +51,63 @@ class FeedbackServer:
             "again": self._again,
             "drop": self._drop,
         }
+        routes = [
+            Route("/{token}/", self._get),
+            Route("/{token}/keys.js", self._keys),
+            Route("/{token}/{verb}", self._post, methods=["POST"]),
+        ]
+        self._server = WebServer(Starlette(routes=routes), port=port)
+        self.address = f"{self._server.address}/{self._token}/"
 
-    async def serve(self, port: int, on_ready: Callable[[str], None], stop: asyncio.Event) -> None:
-        """Serve until `stop`. OSError if the port is in use."""
-        app = web.Application(middlewares=[self._guard], client_max_size=MAX_REQUEST_BYTES)
-        app.router.add_get("/{token}/", self._get)
-        app.router.add_get("/{token}/keys.js", self._keys)
-        app.router.add_post("/{token}/{verb}", self._post)
-        runner = web.AppRunner(app, access_log=None, shutdown_timeout=CLOSING_S)
-        await runner.setup()
-        try:
-            site = web.TCPSite(runner, HOST, port)
-            await site.start()
-            found: int = runner.addresses[0][1]
-            on_ready(f"http://{HOST}:{found}/{self.token}/")
-            await stop.wait()
-        finally:
-            await runner.cleanup()
+    def serve(self, stop: Event, on_ready: Callable[[str], None]) -> None:
+        """Serve until `stop`; `on_ready` is called with the address."""
+        self._server.serve(stop, lambda _: on_ready(self.address))
 
-    @web.middleware
-    async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """404 for everything without the token, and headers that keep pages out of caches and frames."""
-        given = request.path.split("/")[1]
-        if not hmac.compare_digest(given.encode(), self.token.encode()):
-            raise web.HTTPNotFound(text="not found: wanted the address that giirl feedback printed\n")
-        response = await handler(request)
-        response.headers.update(HEADERS)
-        return response
+    def close(self) -> None:
+        """Listen no longer; for a server that never serves."""
+        self._server.close()
 
-    async def _keys(self, request: web.Request) -> web.StreamResponse:
-        return web.Response(text=KEYS_JS.read_text(encoding="utf-8"), content_type="text/javascript")
+    def _refused(self, request: Request) -> Response | None:
+        """404 for everything without the token."""
+        if hmac.compare_digest(request.path_params["token"].encode(), self._token.encode()):
+            return None
+        return PlainTextResponse("not found: wanted the address that giirl feedback printed\n", 404)
 
-    async def _get(self, request: web.Request) -> web.StreamResponse:
-        window = request.query.get("window", "")
+    def _keys(self, request: Request) -> Response:
+        script = Response(KEYS_JS.read_bytes(), media_type="text/javascript", headers=HEADERS)
+        return self._refused(request) or script
+
+    def _get(self, request: Request) -> Response:
+        if refused := self._refused(request):
+            return refused
+        window = request.query_params.get("window", "")
         if not window:
-            raise web.HTTPSeeOther(f"?{urlencode({'window': secrets.token_hex(4)})}")
+            return _see(f"?{urlencode({'window': secrets.token_hex(4)})}")
         try:
-            return _html(self._state(window, request.query.get("episode", ""), request.query.get("last", "")))
+            asked = (request.query_params.get(name, "") for name in ("episode", "last"))
+            return _html(self._state(window, *asked))
         except LookupError:
-            raise web.HTTPSeeOther(_address(window)) from None
+            return _see(_address(window))
 
-    async def _post(self, request: web.Request) -> web.StreamResponse:
+    async def _post(self, request: Request) -> Response:
         """Do what a form asks for; then the window gets its next page, or the same page with what is wrong."""
-        form = {name: value for name, value in (await request.post()).items() if isinstance(value, str)}
-        verb, window, key = self._verbs.get(request.match_info["verb"]), form.get("window", ""), form.get("key", "")
+        if refused := self._refused(request):
+            return refused
+        form = dict(parse_qsl((await request.body()).decode("utf-8", "replace")))
+        return await run_in_threadpool(self._act, request.path_params["verb"], form)
+
+    def _act(self, name: str, form: Form) -> Response:
+        verb, window, key = self._verbs.get(name), form.get("window", ""), form.get("key", "")
         if verb is None or not window:
-            raise web.HTTPBadRequest(text=f"wanted one of {', '.join(self._verbs)}, with a window and a key\n")
+            return PlainTextResponse(f"wanted one of {', '.join(self._verbs)}, with a window and a key\n", 400)
         try:
-            following = await asyncio.to_thread(verb, window, key, form)
+            return _see(verb(window, key, form))
         except LookupError:  # of an earlier server; the page is played again
-            following = _address(window)
+            return _see(_address(window))
         except (ValueError, OSError) as error:  # OSError: nothing was written
             said = Said(step=_step(form), right_for=form.get("right_for", ""), error=explain(error))
             page = self._pages.ask(window, self._desk.lent(key), said, self._desk.answers, "")
             return _html(page, status=422 if isinstance(error, ValueError) else 500)
-        raise web.HTTPSeeOther(following)
 
     def _state(self, window: str, episode: str, last: str) -> str:
         """The page that a window shows now; with `episode`, that one again."""
@@ -166,6 +170,10 @@ def _address(window: str, **more: str) -> str:
     return f"./?{urlencode({'window': window, **more})}"
 
 
-def _html(text: str, status: int = 200) -> web.Response:
+def _see(address: str) -> Response:
+    return RedirectResponse(address, 303, HEADERS)
+
+
+def _html(text: str, status: int = 200) -> Response:
     """A page. JavaScript's lone surrogates, which UTF-8 does not have, are shown as question marks."""
-    return web.Response(body=text.encode("utf-8", "replace"), status=status, content_type="text/html", charset="utf-8")
+    return Response(text.encode("utf-8", "replace"), status, HEADERS, "text/html; charset=utf-8")

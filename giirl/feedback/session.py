@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 from threading import Event
@@ -38,33 +38,26 @@ def open_feedback_run(path: Path) -> tuple[RunFolder, Config]:
 def give_feedback(folder: RunFolder, config: Config, port: int, on_ready: Callable[[str], None]) -> int:
     """Serve the page until Ctrl-C; returns the number of answers in the run's folder.
 
-    ValueError if another process does the same; OSError if the port is in use; RuntimeError if nothing can be played.
+    ValueError if another process does the same, or if the port is in use; RuntimeError if nothing can be played.
     """
     folder.feedback.mkdir(exist_ok=True)
-    desk = Desk(folder.feedback)
-    with folder_lock(folder.feedback), Selector(folder, config) as selector, closing(_stage(config)) as stage:
-        server = FeedbackServer(desk, stage, Pages(config, folder.path.name))
-        asyncio.run(_play_and_serve(server, port, on_ready, desk, selector))
+    desk, stop = Desk(folder.feedback), Event()
+    with folder_lock(folder.feedback), closing(_stage(config)) as stage:
+        pages = Pages(config, folder.path.name)
+        with (
+            closing(FeedbackServer(desk, stage, pages, port)) as server,
+            Selector(folder, config) as selector,
+            ThreadPoolExecutor(1) as threads,
+            handling(lambda number, frame: stop.set()),
+        ):
+            player = threads.submit(_keep_desk_full, desk, selector, stop)
+            player.add_done_callback(lambda _: stop.set())
+            try:
+                server.serve(stop, on_ready)
+            finally:
+                stop.set()
+            player.result()  # raises what has ended it
     return desk.answers
-
-
-async def _play_and_serve(
-    server: FeedbackServer, port: int, on_ready: Callable[[str], None], desk: Desk, selector: Selector
-) -> None:
-    """Serve until Ctrl-C, while a thread plays; what ends the thread ends the server, and is raised."""
-    stop, ended, loop = asyncio.Event(), Event(), asyncio.get_running_loop()
-
-    def end() -> None:
-        loop.call_soon_threadsafe(stop.set)
-
-    player = asyncio.create_task(asyncio.to_thread(_keep_desk_full, desk, selector, ended))
-    player.add_done_callback(lambda _: stop.set())
-    try:
-        with handling(lambda number, frame: end()):
-            await server.serve(port, on_ready, stop)
-    finally:
-        ended.set()
-        await player
 
 
 def _stage(config: Config) -> Stage:

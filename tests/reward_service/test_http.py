@@ -16,12 +16,12 @@ import pytest
 from giirl_core.config_file import load_config
 from giirl_core.metrics import Metrics
 from giirl_core.nets.reward import RewardModel, build_reward
+from giirl_core.processes import request_body
 from giirl_core.telemetry.prometheus import parse_samples
 from giirl_core.telemetry.series import SERVICE
 from giirl_core.types import Action, Goal, Verb
-from reward_service import http_api, http_body
+from reward_service import http_api
 from reward_service.http_schema import ScoreRequest
-from reward_service.http_server import HttpServer
 from tests.reward_service.mutations import DEADLINE_S, REQUEST, exchange, mutated
 
 TOKEN = "0123456789abcdef"
@@ -37,7 +37,8 @@ def reward() -> RewardModel:
 @contextmanager
 def serving(reward: RewardModel, **options: Any) -> Iterator[str]:
     """The address of a server in a thread."""
-    server, stop, ready = HttpServer(reward, Metrics(SERVICE), **options), threading.Event(), threading.Event()
+    server = http_api.open_server(reward, Metrics(SERVICE), **options)
+    stop, ready = threading.Event(), threading.Event()
     thread = threading.Thread(target=server.serve, args=(stop, lambda address: ready.set()))
     thread.start()
     try:
@@ -125,7 +126,7 @@ def test_the_request_for_a_page_is_read_as_that_page() -> None:
         (changed("actions", 0, verb="drag"), "actions.0: input tag 'drag' found using 'verb' does not match any of"),
         (b'{"goal": x}', "the body: wanted JSON, got an error at character 9: Expecting value"),
         (b"[" * 100_000, "the body: wanted JSON, got something else"),
-        (b"x" * (http_body.MAX_BYTES + 1), "the body: wanted at most 1048576 bytes, got more"),
+        (b"x" * (request_body.MAX_BYTES + 1), "the body: wanted at most 1048576 bytes, got more"),
         (b"", "the body: field required"),
     ],
 )
@@ -219,19 +220,19 @@ def test_with_a_token_only_its_holder_gets_rewards_and_metrics(reward: RewardMod
 )
 def test_an_address_beyond_loopback_needs_a_token(reward: RewardModel, host: str, token: str, line: str) -> None:
     with pytest.raises(ValueError, match=line.replace(".", r"\.")):
-        HttpServer(reward, Metrics(SERVICE), host=host, token=token)
+        http_api.open_server(reward, Metrics(SERVICE), host=host, token=token)
 
 
 def test_a_port_in_use_is_one_line(reward: RewardModel, address: str) -> None:
     port = int(address.rpartition(":")[2])
     with pytest.raises(ValueError, match=f"cannot listen on 127.0.0.1:{port}: .*; wanted a free port, or 0"):
-        HttpServer(reward, Metrics(SERVICE), port=port)
+        http_api.open_server(reward, Metrics(SERVICE), port=port)
 
 
 def test_a_body_that_never_ends_is_answered_at_the_deadline(
     reward: RewardModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(http_body, "READ_S", 0.3)
+    monkeypatch.setattr(request_body, "READ_S", 0.3)
     with serving(reward) as address:
         host, _, port = address.removeprefix("http://").rpartition(":")
         with socket.create_connection((host, int(port)), timeout=DEADLINE_S) as connection:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import asyncio
-import threading
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import Event, Thread
 
 from browser_farm.human.recorder import Recorder
 from giirl.feedback.desk import Desk
@@ -90,26 +89,13 @@ def serving(folder: Path, *candidates: Candidate, stage: Stage | None = None, po
     """A server whose answers go to `folder`, in a thread of its own."""
     desk, stage = Desk(folder), stage or Stage(lambda task: Recorder(), lambda task: check_recordable([task]))
     desk.offer(candidates)
-    server = FeedbackServer(desk, stage, Pages(load_config(None, []), "test"))
-    ready, ends = threading.Event(), list[Callable[[], object]]()
-    addresses: list[str] = []
-
-    async def serve() -> None:
-        stop, loop = asyncio.Event(), asyncio.get_running_loop()
-        ends.append(lambda: loop.call_soon_threadsafe(stop.set))
-
-        def on_ready(address: str) -> None:
-            addresses.append(address)
-            ready.set()
-
-        await server.serve(port, on_ready, stop)
-
-    thread = threading.Thread(target=lambda: asyncio.run(serve()))
+    server, stop, ready = FeedbackServer(desk, stage, Pages(load_config(None, []), "test"), port), Event(), Event()
+    thread = Thread(target=server.serve, args=(stop, lambda address: ready.set()))
     thread.start()
     assert ready.wait(DEADLINE_S)
     try:
-        yield Served(desk=desk, stage=stage, url=addresses[0])
+        yield Served(desk=desk, stage=stage, url=server.address)
     finally:
-        ends[0]()
+        stop.set()
         thread.join(DEADLINE_S)
         stage.close()

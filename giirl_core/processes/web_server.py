@@ -1,4 +1,4 @@
-"""The HTTP server of the learned reward: where it listens, for whom, and until when."""
+"""An HTTP server for an ASGI application: where it listens, and until when."""
 
 from __future__ import annotations
 
@@ -8,37 +8,28 @@ from collections.abc import Callable
 from threading import Event, Thread
 
 import uvicorn
+from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from giirl_core.metrics import Metrics
-from giirl_core.nets.reward import RewardModel
+from giirl_core.processes.request_body import BoundedBody
 from giirl_core.telemetry.targets import join_port
-from giirl_core.wire.addresses import is_loopback
-from reward_service.http_api import build_app
 
 IDLE_S = 60  # a connection without a request is closed after this
-GRACE_S = 5  # for requests that are under way when the service stops
+GRACE_S = 5  # for requests that are under way when the server stops
 MAX_CONNECTIONS = 100  # further ones are answered with 503
 TICK_S = 0.2
-TOKEN_CHARACTERS = 16  # the least of a token
 
 
-class HttpServer:
-    """Serves one reward. It listens from the start, and answers while `serve` runs."""
+class WebServer:
+    """Serves one application. It listens from the start, and answers while `serve` runs."""
 
-    def __init__(
-        self, reward: RewardModel, metrics: Metrics, *, host: str = "127.0.0.1", port: int = 0, token: str = ""
-    ) -> None:
-        """Port 0 takes any free one.
-
-        ValueError where it cannot listen, beyond loopback without a token, and for a token that is easy to guess.
-        """
-        _check_token(host, token)
+    def __init__(self, app: ASGIApp, *, host: str = "127.0.0.1", port: int = 0) -> None:
+        """Port 0 takes any free one. ValueError where it cannot listen."""
         self._listener = _listen(host, port)
         self.address = "http://" + join_port(host, self._listener.getsockname()[1])
         self._server = uvicorn.Server(
             uvicorn.Config(
-                build_app(reward, metrics, token),
+                BoundedBody(app),
                 http=_Protocol,
                 loop="asyncio",
                 ws="none",
@@ -67,7 +58,11 @@ class HttpServer:
         finally:
             self._server.should_exit = True
             thread.join(2 * GRACE_S)
-            self._listener.close()
+            self.close()
+
+    def close(self) -> None:
+        """Listen no longer; for a server that never serves."""
+        self._listener.close()
 
 
 class _Protocol(H11Protocol):
@@ -76,13 +71,6 @@ class _Protocol(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
         self.timeout_keep_alive_task = self.loop.call_later(self.timeout_keep_alive, self.timeout_keep_alive_handler)
-
-
-def _check_token(host: str, token: str) -> None:
-    if not token and not is_loopback(host):
-        raise ValueError(f"cannot listen on {host} without a token: wanted a loopback address, or a token")
-    if token and (len(token) < TOKEN_CHARACTERS or not token.isascii() or not token.isprintable() or " " in token):
-        raise ValueError(f"the token has {len(token)} characters: wanted {TOKEN_CHARACTERS} or more, ASCII, no spaces")
 
 
 def _listen(host: str, port: int) -> socket.socket:
