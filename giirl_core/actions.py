@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -12,30 +13,36 @@ from giirl_core.keys import parse_chord
 NO_SPAN = -1
 NO_ELEMENT = -1  # Action.element, .to: no element
 TOKEN = re.compile(r"\w+|[^\w\s]")
+RANGE = re.compile(r"\bbetween (\d{1,9}) ?(?:-|and|to) ?(\d{1,9})\b", re.IGNORECASE)
+MAX_IMPLIED = 20  # numbers of a range; a longer one implies none
 
 
 @dataclass(frozen=True, slots=True)
 class Goal:
     """An instruction in English, tokenised into words and single punctuation marks; case is kept.
 
-    Raises ValueError when the utterance has no token.
+    A range, as in "Guess the number between 0-9", implies numbers that the utterance does not contain. They are tokens
+    too, after all others, so that they can be typed. Raises ValueError when the utterance has no token.
     """
 
     utterance: str
     tokens: tuple[str, ...] = field(init=False, compare=False)  # [L]
     offsets: tuple[tuple[int, int], ...] = field(
         init=False, compare=False
-    )  # [L] character span of each token, end excluded
+    )  # character span of each token of the utterance, end excluded
 
     def __post_init__(self) -> None:
         matches = list(TOKEN.finditer(self.utterance))
         if not matches:
             raise ValueError(f"Goal.utterance is {self.utterance!r}, wanted at least one word")
-        object.__setattr__(self, "tokens", tuple(m.group() for m in matches))
+        written = tuple(m.group() for m in matches)
+        object.__setattr__(self, "tokens", written + _implied_numbers(self.utterance, written))
         object.__setattr__(self, "offsets", tuple(m.span() for m in matches))
 
     def span(self, start: int, end: int) -> str:
         """The characters of the utterance from token `start` to token `end`, both included."""
+        if end >= len(self.offsets):
+            return " ".join(self.tokens[start : end + 1])
         return self.utterance[self.offsets[start][0] : self.offsets[end][1]]
 
     def find(self, text: str) -> tuple[int, int]:
@@ -49,6 +56,15 @@ class Goal:
         spans = [span for span in spans if self.span(*span) == text]
         quoted = [span for span in spans if self.tokens[span[0] - 1 : span[0]] == ('"',)]
         return (quoted or spans or [(NO_SPAN, NO_SPAN)])[0]
+
+
+def _implied_numbers(utterance: str, written: Sequence[str]) -> tuple[str, ...]:
+    """The numbers of the first range in an utterance that are not written there."""
+    found = RANGE.search(utterance)
+    if found is None:
+        return ()
+    low, high = int(found[1]), int(found[2])
+    return tuple(str(n) for n in range(low, high + 1) if str(n) not in written) if high - low < MAX_IMPLIED else ()
 
 
 class Verb(IntEnum):

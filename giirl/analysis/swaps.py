@@ -29,7 +29,7 @@ def swap_goal(observation: Observation, tag: str | None = None) -> GoalSwap | No
     found: list[tuple[bool, int, str, str]] = []
     for name, text in dict.fromkeys(zip(page.tag, page.text, strict=True)):
         start, end = goal.find(text)
-        if start != NO_SPAN and tag in (None, name):
+        if start != NO_SPAN and end < len(goal.offsets) and tag in (None, name):
             quoted = goal.tokens[start - 1 : start] == ('"',)
             found.append((quoted, end - start, name, text))
     for _, _, name, text in sorted(found, key=lambda one: one[:2], reverse=True):

@@ -33,6 +33,17 @@ def test_the_span_that_find_returns_equals_the_text(utterance: str, data: st.Dat
     assert goal.span(*goal.find(text)) == text
 
 
+def test_a_range_implies_its_numbers() -> None:
+    goal = Goal("Guess the number between 0-9 and press Submit.")
+    assert goal.span(*goal.find("7")) == "7"
+    assert goal.find("9") == (6, 6)
+    assert goal.tokens[len(goal.offsets) :] == ("1", "2", "3", "4", "5", "6", "7", "8")
+    assert goal.span(len(goal.offsets) - 1, len(goal.offsets)) == ". 1"
+    assert Goal("between 3 and 5").tokens == ("between", "3", "and", "5", "4")
+    assert Goal("between 5 and 3").tokens == ("between", "5", "and", "3")
+    assert Goal("between 0-999999999").find("7") == (-1, -1)
+
+
 def test_find_prefers_quoted_words() -> None:
     goal = Goal('Press press the button "press" and press on.')
     assert goal.find("press") == (5, 5)
