@@ -7,8 +7,10 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from statistics import fmean
 
 WINDOW_S = 20.0  # of the recent rates
+MAX_TASKS = 8  # of more tasks, a line shows the mean and the lowest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,3 +100,12 @@ def format_rates(rates: Mapping[str, float], dropped: Mapping[str, int]) -> str:
         f"learner waits {100 * rates['learner_waits']:.0f} %, actors idle {100 * rates['actors_idle']:.0f} %, "
         f"lag {rates['lag']:.1f}, stale {100 * rates['stale']:.1f} %{drops}"
     )
+
+
+def format_success(success: Mapping[str, float]) -> str:
+    """The success of every task in one line; of more than MAX_TASKS, their mean and the lowest ones."""
+    few = sorted(success, key=success.__getitem__)[:MAX_TASKS] if len(success) > MAX_TASKS else list(success)
+    words = ", ".join(f"{task} {100 * success[task]:.0f} %" for task in few)
+    if len(few) == len(success):
+        return words
+    return f"{100 * fmean(success.values()):.1f} % over {len(success)} tasks, lowest {words}"

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from giirl.run.folder import RunFolder
+from giirl.throughput import format_success
 from giirl_core.files import is_locked
 from giirl_core.progress import duration
 from giirl_core.telemetry.prometheus import Samples, parse_samples
@@ -106,7 +107,7 @@ def lines(status: RunStatus) -> list[str]:
     left = f", {duration(status.seconds_left)} left" if status.seconds_left is not None else ""
     found = [(status.run, f"{phase}; iteration {status.iteration}{of_goal}{left}")]
     if status.success:
-        found.append(("success", ", ".join(f"{task} {100 * s:.0f} %" for task, s in status.success.items())))
+        found.append(("success", format_success(status.success)))
     if flow := status.flow:
         found.append(("rate", f"{flow['episodes_per_s']:g} episodes/s, {flow['env_steps_per_s']:g} steps/s"))
         found.append(

@@ -22,7 +22,7 @@ from giirl.run.serial import Runtime, SerialRuntime
 from giirl.run.workers import WorkersRuntime
 from giirl.signals import Stopped, raise_if, stopping
 from giirl.statistics import WINDOW, lowest_window
-from giirl.throughput import Throughput, format_rates
+from giirl.throughput import Throughput, format_rates, format_success
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.config_file import dump_config
@@ -234,7 +234,7 @@ class Session:
         success = {task: sum(some) / len(some) for task, some in self._recent.items() if some}
         for task, share in success.items():
             self._metrics.success.labels(task).set(share)
-        return "success " + ", ".join(f"{task} {100 * share:.0f}" for task, share in success.items()) + " %"
+        return f"success {format_success(success)}"
 
     def _save(self) -> None:
         runtime = self._runtime

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from giirl.throughput import StreamState, Throughput, format_rates
+from giirl.throughput import MAX_TASKS, StreamState, Throughput, format_rates, format_success
 
 
 @pytest.fixture
@@ -41,3 +41,11 @@ def test_the_first_step_has_rates_too(clock: list[float]) -> None:
     clock[0] += 2.0
     throughput.add([0] * 8, 8, StreamState())
     assert throughput.recent()["episodes_per_s"] == 4.0
+
+
+def test_of_many_tasks_the_mean_and_the_lowest_are_shown() -> None:
+    few = {"a": 0.5, "b": 0.25}
+    assert format_success(few) == "a 50 %, b 25 %"
+    many = {f"task-{i}": i / 10 for i in range(MAX_TASKS + 2)}
+    assert format_success(many).startswith("45.0 % over 10 tasks, lowest task-0 0 %, task-1 10 %, ")
+    assert "task-8" not in format_success(many)
