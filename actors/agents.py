@@ -91,6 +91,20 @@ class PolicyAgent:
         return logp
 
 
+class FurtherAttempt:
+    """An agent that has made so many attempts at a page before. It uses other random numbers in each."""
+
+    def __init__(self, agent: Agent, attempts_before: int) -> None:
+        self._agent, self._first = agent, attempts_before * agent.draws
+
+    @property
+    def draws(self) -> int:
+        return self._first + self._agent.draws
+
+    def select_actions(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]:
+        return self._agent.select_actions(observations, uniform[:, self._first :])
+
+
 class ExpertAgent:
     """The scripted expert of each task. If it has no action for a page, it waits until the step limit."""
 

@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from actors.agents import Agent, ExpertAgent, PolicyAgent, RandomAgent
+from actors.agents import Agent, ExpertAgent, FurtherAttempt, PolicyAgent, RandomAgent
 from actors.browser import open_browser
 from actors.rollouts import play_pages
 from browser_farm.mixed import expert_of
@@ -25,8 +25,9 @@ from giirl_core.weights import Weights
 class AgentSpec:
     """Which agent plays. It can be sent to another process."""
 
-    kind: Literal["expert", "random", "greedy"]
-    policy: Weights | None = None  # of the greedy policy
+    kind: Literal["expert", "random", "greedy", "sampling"]
+    policy: Weights | None = None  # of a greedy or sampling policy
+    attempt: int = 0  # of a sampling policy at the same pages: each attempt uses other random numbers
 
 
 class Player(Protocol):
@@ -61,7 +62,9 @@ def build_agent(spec: AgentSpec, config: Config) -> Agent:
     assert spec.policy is not None
     net = build_policy(config)
     load_net(net, spec.policy)
-    return PolicyAgent(net, load_vectors(config.net.vectors), version=spec.policy.version, greedy=True)
+    vectors, greedy = load_vectors(config.net.vectors), spec.kind == "greedy"
+    agent = PolicyAgent(net, vectors, version=spec.policy.version, greedy=greedy)
+    return agent if greedy else FurtherAttempt(agent, spec.attempt)
 
 
 class BrowserPlayer:

@@ -107,6 +107,7 @@ class Learner:
         self.soft_q.update_target(1.0)
         if self.policy.prior is not None:
             self.policy.prior.load_state_dict(self.policy.net.state_dict())
+            self.discriminator.model.net.encoder.load_state_dict(self.policy.net.encoder.state_dict())
 
     def load_reward(self, weights: Weights) -> None:
         """Use the reward net of another run. ValueError if its parameters have other names or shapes."""

@@ -39,14 +39,14 @@ def sensitivity(config: Config, reward: Weights, pages: int, metrics: Metrics, d
     found: dict[str, Any] = {}
     trajectories = _play_expert(config, pages, metrics, display)
     for task in config.tasks:
-        steps = [step for trajectory in trajectories if trajectory.task == task for step in _goal_steps(trajectory)]
+        steps = [step for trajectory in trajectories if trajectory.task == task for step in goal_steps(trajectory)]
         if len({step.goal for step in steps}) < 2:
             continue  # every page has the same instruction: there is no other goal to compare with
-        found[task] = _measure(model, steps, config.seed)
+        found[task] = measure(model, steps, config.seed)
         for group, held_out in (("trained_goals", False), ("held_out_goals", True)) if config.held_out_goals else ():
             part = [step for step in steps if is_held_out(step.goal, config.held_out_goals) is held_out]
             if len({step.goal for step in part}) > 1:
-                found[task][group] = _measure(model, part, config.seed)
+                found[task][group] = measure(model, part, config.seed)
     return found
 
 
@@ -61,7 +61,7 @@ def _play_expert(config: Config, pages: int, metrics: Metrics, display: Display)
     return sorted(won, key=lambda trajectory: trajectory.seed)
 
 
-def _goal_steps(trajectory: Trajectory) -> list[GoalStep]:
+def goal_steps(trajectory: Trajectory) -> list[GoalStep]:
     """The steps that another goal would make wrong: typing, and clicks on an element that the goal names."""
     return [
         GoalStep(page, action, trajectory.goal)
@@ -70,7 +70,8 @@ def _goal_steps(trajectory: Trajectory) -> list[GoalStep]:
     ]
 
 
-def _measure(model: RewardModel, steps: Sequence[GoalStep], seed: int) -> dict[str, Any]:
+def measure(model: RewardModel, steps: Sequence[GoalStep], seed: int) -> dict[str, Any]:
+    """The numbers of `sensitivity` for these steps, of one task, with at least two goals."""
     rng = np.random.default_rng(seed)
     own = _score(model, steps, [step.goal for step in steps])
     first, second = (_score(model, steps, [_another(step.goal, steps, rng) for step in steps]) for _ in range(2))

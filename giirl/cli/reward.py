@@ -66,6 +66,27 @@ def sensitivity(run: Path, pages: int, json_file: Path | None) -> None:
 
 @reward.command()
 @RUN
+@click.option("--pages", default=25, show_default=True, type=click.IntRange(2), help="Fresh pages per task.")
+@click.option("--attempts", default=8, show_default=True, type=click.IntRange(1), help="Of the policy at each page.")
+@JSON
+def measure(run: Path, pages: int, attempts: int, json_file: Path | None) -> None:
+    """How well the reward judges episodes and steps of the policy, and what choosing by it is worth.
+
+    Precision, recall and negative predictive value against the page's verdict; best of five actions; the attempt that
+    the reward prefers, beside the greedy policy.
+    """
+    from giirl.analysis.reward_quality import quality_table, reward_quality
+    from giirl.run.train import reward_of_run
+    from giirl_core.metrics import Metrics
+
+    folder, config = open_web_run(run)
+    policy = folder.weights(folder.latest_checkpoint(), "policy")
+    found = reward_quality(config, reward_of_run(run), policy, pages, attempts, Metrics(), Display())
+    save_and_show(json_file, found, quality_table(found))
+
+
+@reward.command()
+@RUN
 @click.option("--task", required=True, help="Any task, also one that the run did not train on.")
 @click.option("--seed", required=True, type=click.IntRange(0), help="Seed of the page; reports show it.")
 @click.option("--goal", help="Another instruction for the page.  [default: its own with another element's name]")

@@ -130,7 +130,7 @@ class PolicyConfig:
     """Iterations at the start in which the policy stays as it is: only its value and the discriminator are trained."""
     prior: Literal["uniform", "clone"] = "uniform"
     """Policy that the trained one stays close to, with weight `entropy`: the uniform policy (entropy), or the policy
-    after `bc_warmup_updates` (KL divergence)."""
+    after `bc_warmup_updates` (KL divergence). With "clone" the discriminator begins with the encoder of that policy."""
     cloning_updates: Annotated[int, Field(ge=0)] = 0
     """Updates of behavioural cloning after each policy update, at the last learning rate of cloning. [updates]"""
 

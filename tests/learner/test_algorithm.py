@@ -203,6 +203,15 @@ def test_the_learning_rate_falls_while_the_policy_is_cloned_before_the_first_ite
     assert rates == pytest.approx([1e-3, 0.8e-3, 0.6e-3, 0.4e-3])
 
 
+def test_with_a_cloned_prior_the_discriminator_begins_with_the_encoder_of_the_clone() -> None:
+    config = Config(net=NetConfig(width=16, vectors="hashed"), policy=PolicyConfig(bc_warmup_updates=2, prior="clone"))
+    learner = Learner(config, [episode.trajectory for episode in expert_episodes(1)], Metrics())
+    mine, clones = (net.encoder.state_dict() for net in (learner.discriminator.model.net, learner.policy.net))
+    assert not all(torch.equal(mine[name], value) for name, value in clones.items())
+    list(learner.bc_warmup())
+    assert all(torch.equal(mine[name], value) for name, value in clones.items())
+
+
 def test_the_accuracy_schedule_lowers_the_rate_from_accuracy_1_to_one_half() -> None:
     demonstrations = [episode.trajectory for episode in expert_episodes(1)]
     config = Config(

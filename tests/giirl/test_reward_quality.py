@@ -1,0 +1,78 @@
+"""Measures of a learned reward: their arithmetic, and the command on a run in the fake browser."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from actors.agents import FurtherAttempt, RandomAgent
+from giirl.analysis.reward_quality import NEGATIVES, Attempt, outcome_measures, uses
+from tests.command import Command
+from tests.giirl.small import run
+from tests.learner.samples import expert_episodes
+
+
+def attempt(seed: int, won: bool, lowest: float) -> Attempt:
+    return Attempt(task="click-test", seed=seed, won=won, lowest=lowest)
+
+
+JUDGED = [  # called right: three, of which two are
+    attempt(1, won=True, lowest=2.0),
+    attempt(1, won=True, lowest=1.0),
+    attempt(1, won=False, lowest=0.5),
+    attempt(2, won=True, lowest=-0.5),
+    attempt(2, won=False, lowest=-1.0),
+    attempt(2, won=False, lowest=-2.0),
+]
+
+
+def test_verdicts_on_episodes_are_counted_against_those_of_the_page() -> None:
+    found = outcome_measures(JUDGED)
+    assert found["precision"] == found["recall"] == found["f1"] == pytest.approx(2 / 3, abs=1e-4)
+    assert found["npv"] == pytest.approx(2 / 3, abs=1e-4)
+    assert found["auc"] == pytest.approx(8 / 9, abs=1e-4)
+
+
+def test_what_has_nothing_to_divide_by_is_none() -> None:
+    found = outcome_measures([attempt(1, won=True, lowest=1.0)])
+    assert (found["precision"], found["recall"], found["npv"], found["auc"]) == (1.0, 1.0, None, None)
+    assert outcome_measures([attempt(1, won=False, lowest=1.0)])["recall"] is None
+    assert outcome_measures([])["episodes"] == 0
+
+
+def test_the_preferred_attempt_is_compared_with_one_and_with_the_best() -> None:
+    assert uses([*JUDGED[1:], attempt(2, won=True, lowest=-3.0)]) == {
+        "sampled": 0.5,
+        "best_attempt": 1.0,
+        "oracle": 1.0,
+    }
+    assert uses([attempt(1, won=True, lowest=0.0), attempt(1, won=False, lowest=1.0)])["best_attempt"] == 0.0
+
+
+def test_a_further_attempt_uses_other_random_numbers() -> None:
+    again = FurtherAttempt(RandomAgent(), 2)
+    assert again.draws == 3 * RandomAgent().draws
+    trajectory = expert_episodes(1)[0].trajectory
+    uniform = np.random.default_rng(0).random((1, again.draws, 3), dtype=np.float32)
+    observation = type("Seen", (), {"page": trajectory.pages[0], "goal": trajectory.goal})()
+    assert again.select_actions([observation], uniform) == RandomAgent().select_actions(
+        [observation], uniform[:, 2 * RandomAgent().draws :]
+    )
+
+
+def test_the_command_measures_every_task_of_a_run(giirl: Command, tmp_path: Path) -> None:
+    run(tmp_path / "run", "iterations=1")
+    done = giirl(
+        "reward", "measure", tmp_path / "run", "--pages", "3", "--attempts", "2", "--json", tmp_path / "q.json"
+    )
+    assert done.status == 0, done.error
+    found = json.loads((tmp_path / "q.json").read_text(encoding="utf-8"))
+    assert found["all"]["episodes"] == 3 * 2 * len(found["tasks"])
+    for row in found["tasks"].values():
+        assert row["pages"] == 3
+        assert row["sampled"] <= row["oracle"]
+        assert row["best_of_n"] is None or row["pairwise"] <= 1 - (1 - row["best_of_n"]) / NEGATIVES
+    assert "oracle" in done.out
