@@ -6,7 +6,9 @@ import os
 import secrets
 import signal
 import socketserver
+from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 # Chrome, Ray and torch share two cores: with more threads per process they only wait for each other.
@@ -30,3 +32,14 @@ socketserver.BaseServer.serve_forever.__defaults__ = (0.01,)
 # A slow machine must not fail a test. In CI, examples are the same in every run, so that failures can be reproduced.
 settings.register_profile("giirl", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("giirl")
+
+
+@pytest.fixture(scope="module")
+def full(request: pytest.FixtureRequest) -> bool:
+    """Whether pytest was started for the folder of this test, or for something in it, rather than for all tests.
+
+    Tests that take many minutes run in full then, otherwise in a short form.
+    """
+    folder, config = request.path.parent, request.config
+    paths = [Path(config.invocation_params.dir, argument.split("::")[0]).resolve() for argument in config.args]
+    return any(path == folder or folder in path.parents for path in paths)

@@ -37,8 +37,10 @@ def buildah(*arguments: str, timeout_s: float = 300) -> str:
 
 
 @pytest.fixture(scope="module")
-def container() -> Iterator[str]:
+def container(full: bool) -> Iterator[str]:
     """A container of the freshly built image."""
+    if not full:
+        pytest.skip("takes many minutes: `pytest tests/deploy` runs it, and so does .ci/run")
     if os.geteuid() or not shutil.which("buildah") or not shutil.which("mmdebstrap"):
         pytest.skip("needs root, buildah and mmdebstrap: apt-get install buildah mmdebstrap crun")
     done = subprocess.run([BUILD, NAME], cwd=ROOT, capture_output=True, text=True, timeout=1500, check=False)

@@ -13,16 +13,8 @@ ROOT = Path(__file__).parent.parent.parent
 
 
 @pytest.mark.timeout(900)  # on a busy machine; half a minute for each ten kills on an idle one
-@pytest.mark.parametrize(
-    ("kills", "seed"),
-    [
-        pytest.param(3, 1, id="short"),
-        pytest.param(50, 2, id="whole", marks=pytest.mark.slow),
-    ],
-)
-def test_a_run_that_is_killed_at_random_moments_goes_on_to_the_same_parameters(
-    kills: int, seed: int, tmp_path: Path
-) -> None:
+def test_a_run_that_is_killed_at_random_moments_goes_on_to_the_same_parameters(full: bool, tmp_path: Path) -> None:
+    kills, seed = (50, 2) if full else (3, 1)
     command = [sys.executable, "-m", "tests.faults.kills", str(tmp_path), str(kills), str(seed)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr
