@@ -83,18 +83,19 @@ class WorkersRuntime:
     def take(self, episodes: int) -> list[Episode]:
         """The next `episodes` that the actors finished; an empty list when the run should stop.
 
-        In lock-step it is a few more, so that there are equally many of every task. RuntimeError when too few come
-        within `stream.take_timeout_s`; the time in which no node has room for an actor does not count.
+        In lock-step it is a few more, so that there are equally many of every task. RuntimeError when none comes for
+        `stream.take_timeout_s`; the time in which no node has room for an actor does not count.
         """
         if self._config.stream.policy_lag == 0:
             episodes = self._config.quota * len(self._config.tasks)
         timeout_s = self._config.stream.take_timeout_s
-        deadline_s = time.monotonic() + timeout_s
+        deadline_s, most_queued = time.monotonic() + timeout_s, 0
         while not self._stop.is_set():
             self._health.beat()
             self._fleet.poll()
-            if self._fleet.waits_for_place:
-                deadline_s = time.monotonic() + timeout_s
+            queued = self._ingest.queued
+            if queued > most_queued or self._fleet.waits_for_place:
+                deadline_s, most_queued = time.monotonic() + timeout_s, queued
             if self._ingest.wants_commit:
                 self._save_now()
             try:
@@ -102,7 +103,7 @@ class WorkersRuntime:
             except TimeoutError as error:
                 if time.monotonic() > deadline_s:
                     raise RuntimeError(
-                        f"fewer than {episodes} episodes came within {timeout_s:.0f} s (stream.take_timeout_s): "
+                        f"no episode came for {timeout_s:.0f} s (stream.take_timeout_s), wanted {episodes}: "
                         f"{str(error).partition(': ')[2]}{self._fleet.describe_trouble()}"
                     ) from None
             else:

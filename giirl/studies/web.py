@@ -113,8 +113,11 @@ FOLLOWERS = (
 FROM_CLONE = (
     "policy.bc_warmup_updates=600",
     "policy.prior=clone",
-    "policy.frozen_iterations=15",
+    "policy.frozen_iterations=30",
     "policy.learning_rate=3e-4",
+    "policy.cloning_updates=1",
+    "iterations=120",
+    "rollout_batch=52",
 )
 FIFTY_TWO = (
     Variant(name="giirl from the clone", changes=FROM_CLONE),
@@ -226,6 +229,7 @@ STUDIES = {
             f"tasks={json.dumps(fifty_two.TASKS)}",
             f"demos.scripted_tasks={json.dumps(fifty_two.SCRIPTED)}",
             "step_limit=25",
+            "evaluate.random_episodes=50",
         ),
         compares_published=True,
     ),

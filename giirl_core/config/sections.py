@@ -109,7 +109,7 @@ class StreamConfig:
     reward_lag: Annotated[int, Field(ge=0, le=8)] = 4
     """Rewards further behind than this are computed again by the learner. [versions]"""
     take_timeout_s: Seconds = 120.0
-    """The run ends with an error when the actors send too few trajectories for this long. [s]"""
+    """The run ends with an error when it needs a trajectory and the actors send none for this long. [s]"""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import subprocess
@@ -25,11 +26,13 @@ from giirl_core.nets.reward import build_reward
 from giirl_core.processes import open_files
 from giirl_core.types import Episode
 from learner.checkpoint import save_checkpoint
+from learner.stream.ingest import Ingest
 from reward_service.process import RewardProcess
 from tests.giirl.small import config, run
 from tests.thread_platform import ThreadCall, ThreadPlatform, ThreadProcess
 
 LOCK_STEP = ("runtime=local", "stream.policy_lag=0", "stream.reward_lag=0", "actors.tabs=2")
+WAIT_S = 60.0
 FEW = ("iterations=3", "evaluate.episodes=1", "evaluate.random_episodes=1")
 
 
@@ -226,9 +229,27 @@ def test_a_learner_that_waits_for_episodes_is_alive(
     def waited(timeout_s: float) -> list[Episode]:
         raise TimeoutError
 
-    with pytest.raises(RuntimeError, match="fewer than 8 episodes came"):
+    with pytest.raises(RuntimeError, match="no episode came for 0 s"):
         run(tmp_path / "run", "runtime=local", *FEW, "stream.take_timeout_s=0.2", "actors.count=1")
     assert beats.count(main_thread()) > 1  # the others are of the actor and of the reward service
+
+
+def test_a_run_goes_on_while_episodes_come_slowly(
+    runtimes: list[WorkersRuntime], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take, timeout_s, queued = Ingest.take, 0.4, itertools.count(1)
+
+    def slowly(self: Ingest, episodes: int, poll_s: float) -> list[Episode]:
+        if time.monotonic() < begun_s + 3 * timeout_s:
+            time.sleep(timeout_s / 4)
+            raise TimeoutError
+        return take(self, episodes, WAIT_S)
+
+    monkeypatch.setattr(Ingest, "take", slowly)
+    monkeypatch.setattr(Ingest, "queued", property(lambda self: next(queued)))
+    begun_s = time.monotonic()
+    run(tmp_path / "run", "runtime=local", *FEW, f"stream.take_timeout_s={timeout_s}")
+    assert time.monotonic() > begun_s + 3 * timeout_s
 
 
 def test_more_actors_than_open_files_allow_are_refused_while_the_run_goes_on(
