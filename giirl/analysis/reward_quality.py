@@ -26,7 +26,7 @@ from giirl_core.metrics import Metrics
 from giirl_core.nets.action_batch import collate_actions, join, random_actions
 from giirl_core.nets.batch import collate
 from giirl_core.nets.features import featurise
-from giirl_core.nets.reward import RewardModel, build_reward
+from giirl_core.nets.reward import RewardModel, build_reward, reward_of
 from giirl_core.progress import Display
 from giirl_core.types import Episode, Purpose, Trajectory
 from giirl_core.weights import Weights
@@ -44,7 +44,7 @@ class Attempt:
     task: str
     seed: int
     won: bool
-    lowest: float  # reward of the step with the lowest one
+    lowest: float  # reward of the step with the lowest one, less that of a step with D = 1/2
 
 
 def reward_quality(
@@ -52,7 +52,7 @@ def reward_quality(
 ) -> dict[str, Any]:
     """Play `pages` pages of each task greedily, and `attempts` times by sampling, and judge all of it.
 
-    - Episodes: the reward calls an episode right if every step has r > 0, that is, D > 1/2. Precision, recall, F1 and
+    - Episodes: the reward calls an episode right if every step has D > 1/2. Precision, recall, F1 and
       the negative predictive value (`npv`) against the page's verdict; `auc` needs no threshold.
     - Steps of successful greedy episodes, against NEGATIVES random other legal actions on the same page: how often the
       action taken has the highest reward (`best_of_n`), how often it beats one of them (`pairwise`), and its mean
@@ -141,12 +141,18 @@ def _mean(rows: Sequence[dict[str, Any]]) -> dict[str, float | None]:
 
 
 def _judge(model: RewardModel, episodes: Sequence[Episode]) -> list[Attempt]:
+    even = float(reward_of(torch.zeros(1), model.form, model.clip))
     judged: list[Attempt] = []
     for first in range(0, len(episodes), BATCH):
         part = episodes[first : first + BATCH]
         rewards = model.score([episode.trajectory for episode in part])
         judged += [
-            Attempt(task=e.trajectory.task, seed=e.trajectory.seed, won=e.outcome.success, lowest=float(steps.min()))
+            Attempt(
+                task=e.trajectory.task,
+                seed=e.trajectory.seed,
+                won=e.outcome.success,
+                lowest=float(steps.min()) - even,
+            )
             for e, steps in zip(part, rewards, strict=True)
         ]
     return judged
