@@ -77,13 +77,12 @@ $(STAMP): pyproject.toml constraints.txt
 run: install ## train on the four tasks of the thesis, or with CONFIG
 	@$(BIN)/giirl train $(CONFIG)
 
-# Tests that start Ray run one at a time; the others run on all cores, those in Chrome and the long ones file by file.
+# All tests run on all cores; those that start Chrome or Ray and the long ones, file by file.
 FAST := not chrome and not ray and not slow
 
 test: check test-fast ## run every check and every test, as CI does
 	@$(BIN)/python -m pytest -n logical --dist loadfile -m "chrome and not ray and not slow"
-	@$(BIN)/python -m pytest -n logical --dist loadfile --no-loadscope-reorder -m "slow and not ray"
-	@$(BIN)/python -m pytest -m ray
+	@$(BIN)/python -m pytest -n logical --dist loadfile --no-loadscope-reorder -m "slow or ray"
 
 test-fast: install ## run the tests that start neither Ray nor Chrome and take seconds
 	@$(BIN)/python -m pytest -n logical -m "$(FAST)"
