@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import socket
 import subprocess
 import sys
+import urllib.request
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 
@@ -62,3 +65,16 @@ def test_random_actions_do_not_pass_the_checks(config: Config) -> None:
     with closing(open_browser(config, Metrics())) as browser:
         played = play_pages(config, browser, RandomAgent(), Purpose.RANDOM, 1, Metrics())
     assert not any(episode.outcome.success for episode in played)
+
+
+def test_many_episodes_may_begin_at_once(config: Config) -> None:
+    found = re.search(r"http://127\.0\.0\.1:\d+", Path(config.tasks[0]).read_text())
+    assert found is not None
+
+    def begin(index: int) -> int:
+        with urllib.request.urlopen(f"{found[0]}/begin/{index:032x}/", timeout=60) as reply:
+            status: int = reply.status
+        return status
+
+    with ThreadPoolExecutor(16) as threads:
+        assert set(threads.map(begin, range(300))) == {200}

@@ -44,10 +44,11 @@ def begin(episode: str) -> None:
     path = settings.FOLDER / f"{episode}.sqlite3"
     shutil.copyfile(settings.TEMPLATE, path)
     with _lock:
-        connections.databases[episode] = {**connections.databases[TEMPLATE], "NAME": str(path)}
+        databases = {**connections.databases, episode: {**connections.databases[TEMPLATE], "NAME": str(path)}}
         _open[episode] = None
         old = _open.popitem(last=False)[0] if len(_open) > MOST else ""
-        connections.databases.pop(old, None)
+        databases.pop(old, None)
+        connections.settings = databases  # another dictionary: other threads may be going through the one before
     if old:
         (settings.FOLDER / f"{old}.sqlite3").unlink(missing_ok=True)
 
