@@ -42,21 +42,21 @@ def give_feedback(folder: RunFolder, config: Config, port: int, on_ready: Callab
     """
     folder.feedback.mkdir(exist_ok=True)
     desk, stop = Desk(folder.feedback), Event()
-    with folder_lock(folder.feedback), closing(_stage(config)) as stage:
-        pages = Pages(config, folder.path.name)
-        with (
-            closing(FeedbackServer(desk, stage, pages, port)) as server,
-            Selector(folder, config) as selector,
-            ThreadPoolExecutor(1) as threads,
-            handling(lambda number, frame: stop.set()),
-        ):
-            player = threads.submit(_keep_desk_full, desk, selector, stop)
-            player.add_done_callback(lambda _: stop.set())
-            try:
-                server.serve(stop, on_ready)
-            finally:
-                stop.set()
-            player.result()  # raises what has ended it
+    with (
+        folder_lock(folder.feedback),
+        closing(_stage(config)) as stage,
+        closing(FeedbackServer(desk, stage, Pages(config, folder.path.name), port)) as server,
+        Selector(folder, config) as selector,
+        ThreadPoolExecutor(1) as threads,
+        handling(lambda number, frame: stop.set()),
+    ):
+        player = threads.submit(_keep_desk_full, desk, selector, stop)
+        player.add_done_callback(lambda _: stop.set())
+        try:
+            server.serve(stop, on_ready)
+        finally:
+            stop.set()
+        player.result()  # raises what has ended it
     return desk.answers
 
 
