@@ -11,7 +11,8 @@ import torch
 from numpy.typing import NDArray
 
 from browser_farm.experts import NoAction
-from giirl_core.nets.action_batch import collate_candidates, join, random_actions
+from giirl_core.choices import action_of
+from giirl_core.nets.action_batch import choose, collate_candidates, join, random_actions
 from giirl_core.nets.batch import collate
 from giirl_core.nets.features import featurise
 from giirl_core.nets.language import Vectors
@@ -75,19 +76,24 @@ class PolicyAgent:
         encoding = self.net.encoder(batch)
         noise, by_policy = torch.from_numpy(uniform), 1 + self.draws // 2
         actions, logp = self.net.sample(encoding, None if self.greedy else noise[:, :by_policy])
-        decisions = zip(actions.first(), logp[:, 0].tolist(), strict=True)
+        chosen = [
+            action_of(choice, observation.page, self.net.gestures)
+            for choice, observation in zip(actions.first(), observations, strict=True)
+        ]
+        decisions = zip(chosen, logp[:, 0].tolist(), strict=True)
         if self.draws == 1:
             return [Decision(action, p, self.version) for action, p in decisions]
-        random = random_actions(batch, noise[:, by_policy:])
+        random = random_actions(batch, noise[:, by_policy:], self.net.gestures)
         table = join(actions.columns(1, by_policy), random).table().numpy().astype(np.int16)
         table_logp = torch.cat([logp[:, 1:], self.net.evaluate(encoding, random)[0]], dim=1).numpy()
         return [Decision(action, p, self.version, table[b], table_logp[b]) for b, (action, p) in enumerate(decisions)]
 
     @torch.no_grad()
     def log_probabilities(self, observation: Observation, actions: Sequence[Action]) -> NDArray[np.float32]:
-        """[M] log pi(a | s, g) of M actions on one page, nats. Actions that the nets know, see `Action.learnable`."""
+        """[M] log pi(a | s, g) of M actions on one page, nats; ValueError for one that is no gesture of the net."""
         encoding = self.net.encoder(collate([featurise(observation.page, observation.goal, self.vectors)]))
-        logp: NDArray[np.float32] = self.net.evaluate(encoding, collate_candidates(actions))[0][0].numpy()
+        candidates = collate_candidates([choose(action, observation.page, self.net.gestures) for action in actions])
+        logp: NDArray[np.float32] = self.net.evaluate(encoding, candidates)[0][0].numpy()
         return logp
 
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from actors.agents import Agent, Decision
 from actors.schedule import Schedule
+from giirl_core.choices import SampledActions
 from giirl_core.config import Config
 from giirl_core.metrics import Metrics, waiting
 from giirl_core.progress import Job
-from giirl_core.sampled_actions import SampledActions
 from giirl_core.types import (
     Action,
     Browser,

@@ -72,7 +72,7 @@ def _fixture(folder: Path) -> tuple[list[Any], list[Any]]:
 def _with_sampled(rollouts: list[Any], learner: Any, count: int) -> list[Any]:
     """The rollouts with `count` sampled actions per step, marked as scored by the reward service."""
     from actors.agents import PolicyAgent
-    from giirl_core.sampled_actions import SampledActions
+    from giirl_core.choices import SampledActions
     from giirl_core.types import EpisodeSpec, Observation
 
     agent, rng = PolicyAgent(learner.policy.net, learner.vectors, sampled_actions=count), np.random.default_rng(0)

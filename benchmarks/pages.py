@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from giirl_core.gestures import BASIC
 from giirl_core.types import DEMONSTRATION, Action, Episode, Goal, Page, Purpose, Trajectory, Verb
 
 FIXTURE = Path(__file__).parent / "fixtures" / "pages.json.gz"
@@ -172,7 +173,7 @@ def record() -> None:
         rollouts = play_pages(config, browser, RandomAgent(), Purpose.TRAIN, ROLLOUTS, metrics)
     finally:
         browser.close()
-    learnable = [e for e in played if e.outcome.success and all(a.learnable for a in e.trajectory.actions)]
+    learnable = [e for e in played if e.outcome.success and not e.trajectory.unlearnable(BASIC)]
     save_fixture(learnable, rollouts)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -14,6 +15,11 @@ NO_SPAN = -1
 NO_ELEMENT = -1  # Action.element, .to: no element
 TOKEN = re.compile(r"\w+|[^\w\s]")
 RANGE = re.compile(r"\bbetween (\d{1,9}) ?(?:-|and|to) ?(\d{1,9})\b", re.IGNORECASE)
+CASE = re.compile(r"\b(upper|lower)[ -]?case\b", re.IGNORECASE)
+QUOTED = re.compile(r'"([^"]*)"')
+WORD = re.compile(r"\w+")
+SALT = "unseen"  # chosen so that no word is held out that another instruction of the same study has outside quotes
+BUCKETS = 10_000  # of the hash of a goal
 MAX_IMPLIED = 20  # numbers of a range; a longer one implies none
 
 
@@ -21,8 +27,9 @@ MAX_IMPLIED = 20  # numbers of a range; a longer one implies none
 class Goal:
     """An instruction in English, tokenised into words and single punctuation marks; case is kept.
 
-    A range, as in "Guess the number between 0-9", implies numbers that the utterance does not contain. They are tokens
-    too, after all others, so that they can be typed. Raises ValueError when the utterance has no token.
+    A range, as in "Guess the number between 0-9", implies numbers that the utterance does not contain, and "in upper
+    case" implies quoted words in another case. They are tokens too, after all others, so that they can be typed.
+    Raises ValueError when the utterance has no token.
     """
 
     utterance: str
@@ -36,7 +43,9 @@ class Goal:
         if not matches:
             raise ValueError(f"Goal.utterance is {self.utterance!r}, wanted at least one word")
         written = tuple(m.group() for m in matches)
-        object.__setattr__(self, "tokens", written + _implied_numbers(self.utterance, written))
+        object.__setattr__(
+            self, "tokens", written + _implied_numbers(self.utterance, written) + _implied_case(self.utterance)
+        )
         object.__setattr__(self, "offsets", tuple(m.span() for m in matches))
 
     def span(self, start: int, end: int) -> str:
@@ -67,6 +76,28 @@ def _implied_numbers(utterance: str, written: Sequence[str]) -> tuple[str, ...]:
     return tuple(str(n) for n in range(low, high + 1) if str(n) not in written) if high - low < MAX_IMPLIED else ()
 
 
+def _implied_case(utterance: str) -> tuple[str, ...]:
+    """The quoted words in the case that the utterance asks for, if they are not written so."""
+    found = CASE.search(utterance)
+    if found is None:
+        return ()
+    to_case = str.upper if found[1].lower() == "upper" else str.lower
+    quoted = TOKEN.findall(" ".join(QUOTED.findall(utterance)))
+    changed = tuple(map(to_case, quoted))
+    return changed if list(changed) != quoted else ()
+
+
+def is_held_out(goal: Goal, fraction: float) -> bool:
+    """True for about `fraction` of all goals, the same ones in every run.
+
+    The decision is a hash of the goal's quoted strings (a button's label, a name to type, a link); of the whole
+    utterance when nothing is quoted. Only the words matter, not their case nor the punctuation between them.
+    """
+    quoted = QUOTED.findall(goal.utterance) or [goal.utterance]
+    words = WORD.findall(" ".join(quoted).lower())
+    return zlib.crc32(" ".join([SALT, *words]).encode()) % BUCKETS < fraction * BUCKETS
+
+
 class Verb(IntEnum):
     """The kind of an action on an element or at a point of the page. The wire and the files store the numbers."""
 
@@ -84,7 +115,6 @@ class Verb(IntEnum):
     WAIT = 11  # do nothing for one step
 
 
-LEARNABLE_VERBS = frozenset({Verb.CLICK, Verb.TYPE})  # the action space of the nets
 _POINT_FIELDS = frozenset({"at"})
 _TEXT_FIELDS = frozenset({"start", "end", "literal"})
 VERB_FIELDS: dict[Verb, frozenset[str]] = {  # the optional fields of Action that each verb uses
@@ -142,8 +172,3 @@ class Action:
     def text(self, goal: Goal) -> str:
         """The text to type or the key to press; "" for verbs that use neither."""
         return goal.span(self.start, self.end) if self.start >= 0 else self.literal
-
-    @property
-    def learnable(self) -> bool:
-        """True when the action is in the action space of the nets: click an element, or type tokens of the goal."""
-        return self.verb in LEARNABLE_VERBS and self.element >= 0 and self.at == (0.0, 0.0) and not self.literal

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Protocol
@@ -10,13 +10,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from giirl_core.actions import LEARNABLE_VERBS, NO_ELEMENT, NO_SPAN, TOKEN, VERB_FIELDS, Action, Goal, Verb
+from giirl_core.actions import NO_ELEMENT, NO_SPAN, TOKEN, VERB_FIELDS, Action, Goal, Verb, is_held_out
+from giirl_core.choices import SampledActions, can_choose, choice_of, readings
+from giirl_core.gestures import Gesture
 from giirl_core.pages import TYPABLE_TAGS, Page
-from giirl_core.sampled_actions import SampledActions
 
 __all__ = [
     "DEMONSTRATION",
-    "LEARNABLE_VERBS",
     "NO_ELEMENT",
     "NO_REF",
     "NO_SPAN",
@@ -38,6 +38,7 @@ __all__ = [
     "StepResult",
     "Trajectory",
     "Verb",
+    "is_held_out",
     "page_seed",
 ]
 
@@ -190,8 +191,8 @@ class Trajectory:
         for name in ("actions", "behaviour_logp", "rewards"):
             if len(getattr(self, name)) != steps:
                 raise ValueError(f"Trajectory.{name} has {len(getattr(self, name))} steps, .pages has {steps}")
-        if self.sampled is not None:
-            self.sampled.check([len(page) for page in self.pages], len(self.goal.tokens))
+        if self.sampled is not None and len(self.sampled.choices) != steps:
+            raise ValueError(f"Trajectory.sampled has {len(self.sampled.choices)} steps, .pages has {steps}")
         for t, (page, action) in enumerate(zip(self.pages, self.actions, strict=True)):
             if max(action.element, action.to) >= len(page):
                 raise ValueError(f"step {t} acts on element {max(action.element, action.to)}, its page has {len(page)}")
@@ -212,21 +213,29 @@ class Trajectory:
         sampled = self.sampled if self.sampled is None else replace(self.sampled, rewards=table[:, 1:])
         return replace(self, rewards=table[:, 0], sampled=sampled, reward_version=version)
 
-    @property
-    def unlearnable(self) -> str:
-        """Which action is outside the action space of the nets (`Action.learnable`); "" when none is."""
-        for t, action in enumerate(self.actions):
-            if not action.learnable:
-                return (
-                    f"{self.task} with seed {self.seed}, step {t} is {action.verb.name} {action.literal!r:.40} on "
-                    f"element {action.element}: the nets only click elements and type words of the goal"
-                )
+    def unlearnable(self, gestures: Sequence[Gesture] | None = None) -> str:
+        """Which action a policy with these gestures cannot choose, or, with None, no policy can; "" if it can all."""
+        for t, (action, page) in enumerate(zip(self.actions, self.pages, strict=True)):
+            known = readings(action, page) if gestures is None else gestures
+            choice = choice_of(action, page, known)
+            if choice is None or not can_choose(choice, known[choice.gesture], page):
+                return self._no_gesture(t)
         return ""
 
-    def check_learnable(self) -> None:
-        """Raise ValueError when an action is outside the action space of the nets."""
-        if self.unlearnable:
-            raise ValueError(self.unlearnable)
+    def check(self, gestures: Sequence[Gesture]) -> None:
+        """ValueError when an action, taken or sampled, is none of the gestures of a run."""
+        for t, (action, page) in enumerate(zip(self.actions, self.pages, strict=True)):
+            if choice_of(action, page, gestures) is None:
+                raise ValueError(self._no_gesture(t))
+        if self.sampled is not None:
+            self.sampled.check([len(page) for page in self.pages], len(self.goal.tokens), gestures)
+
+    def _no_gesture(self, t: int) -> str:
+        action = self.actions[t]
+        return (
+            f"{self.task} with seed {self.seed}, step {t} is {action.verb.name} {action.literal!r:.40} on element "
+            f"{action.element}: no gesture that the nets learn (net.gestures)"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -52,7 +52,7 @@ class ActorCritic:
         mask = torch.arange(max(lengths)) < torch.tensor(lengths).unsqueeze(1)
         behaviour_logp = torch.from_numpy(pad_rows([example.trajectory.behaviour_logp for example in rollouts]))
         # Unnormalised log-density of the sampling distribution, half policy and half uniform.
-        proposal = torch.logaddexp(sampled_logp, random_logp(batch, sampled))
+        proposal = torch.logaddexp(sampled_logp, random_logp(batch, sampled, self.net.gestures))
         device = self.net.device
         batch, actions = batch.to(device), join(taken, sampled).to(device)
         flat_rewards = torch.cat(list(rewards)).to(device)

@@ -11,21 +11,24 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from giirl_core.nets.action_batch import ActionBatch, collate_actions, collate_sampled
+from giirl_core.choices import Choice
+from giirl_core.gestures import BASIC, Gesture, Takes
+from giirl_core.nets.action_batch import ActionBatch, choices_of, collate_choices, collate_sampled
 from giirl_core.nets.batch import Batch, collate
 from giirl_core.nets.features import Features, featurise
 from giirl_core.nets.language import Vectors
-from giirl_core.types import Action, Episode, Goal, Trajectory, Verb
+from giirl_core.types import Episode, Goal, Trajectory, Verb
 
 WRONG_GOAL_CACHE = 4096  # expert pages under wrong goals whose features are cached
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Example:
-    """A trajectory with the features of its T pages under its goal."""
+    """A trajectory with the features of its T pages under its goal, and its actions as the nets choose them."""
 
     trajectory: Trajectory
     features: tuple[Features, ...]  # [T]
+    choices: tuple[Choice, ...]  # [T]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,27 +36,25 @@ class Step:
     """One (s, a, g): the features of a page under a goal, and the action."""
 
     features: Features
-    action: Action
+    choice: Choice
 
 
-def featurise_trajectory(trajectory: Trajectory, vectors: Vectors) -> Example:
-    """Compute the features of a trajectory, once for all its uses in training."""
+def featurise_trajectory(trajectory: Trajectory, vectors: Vectors, gestures: Sequence[Gesture] = BASIC) -> Example:
+    """Compute the features of a trajectory, once for all its uses in training; ValueError for any other gesture."""
     rows = tuple(featurise(page, trajectory.goal, vectors) for page in trajectory.pages)
-    return Example(trajectory, rows)
+    return Example(trajectory, rows, tuple(choices_of(trajectory, gestures)))
 
 
 def steps_of(examples: Sequence[Example]) -> list[Step]:
     """All steps of all examples, in order."""
     return [
-        Step(row, action)
-        for example in examples
-        for row, action in zip(example.features, example.trajectory.actions, strict=True)
+        Step(row, choice) for example in examples for row, choice in zip(example.features, example.choices, strict=True)
     ]
 
 
 def collate_steps(steps: Sequence[Step]) -> tuple[Batch, ActionBatch]:
     """B steps as tensors: the pages, and the actions [B, 1]."""
-    return collate([step.features for step in steps]), collate_actions([step.action for step in steps])
+    return collate([step.features for step in steps]), collate_choices([step.choice for step in steps])
 
 
 def sampled_actions_of(examples: Sequence[Example]) -> tuple[ActionBatch, Tensor]:
@@ -74,12 +75,18 @@ def carried_rewards(example: Example) -> Tensor:
 class ExpertSampler:
     """D_E, the demonstrations with their goals: samples trajectories, and expert steps under wrong goals."""
 
-    def __init__(self, demonstrations: Sequence[Trajectory], vectors: Vectors, rng: np.random.Generator) -> None:
-        self._rng = rng
+    def __init__(
+        self,
+        demonstrations: Sequence[Trajectory],
+        vectors: Vectors,
+        rng: np.random.Generator,
+        gestures: Sequence[Gesture] = BASIC,
+    ) -> None:
+        self._rng, self._gestures = rng, gestures
         self._featurise = functools.lru_cache(WRONG_GOAL_CACHE)(  # few pages and few goals, so the pairs recur
             lambda example, t, goal: featurise(example.trajectory.pages[t], goal, vectors)
         )
-        self._first = [featurise_trajectory(trajectory, vectors) for trajectory in demonstrations]
+        self._first = [featurise_trajectory(trajectory, vectors, gestures) for trajectory in demonstrations]
         self.join(())
 
     def join(self, further: Sequence[Example]) -> None:
@@ -123,10 +130,11 @@ class ExpertSampler:
             t = int(self._rng.integers(len(own)))
             if other == own.goal or _signature(own, t) in self._expert_actions[(own.task, other.utterance)]:
                 continue
-            action = own.actions[t]
-            start, end = other.find(action.text(own.goal)) if action.verb is Verb.TYPE else (-1, -1)
-            row = self._featurise(example, t, other)
-            wrong.append(Step(row, replace(action, start=start, end=end)))
+            choice = example.choices[t]
+            if self._gestures[choice.gesture].takes is Takes.WORDS:
+                start, end = other.find(own.actions[t].text(own.goal))
+                choice = replace(choice, start=start, end=end)
+            wrong.append(Step(self._featurise(example, t, other), choice))
         return wrong
 
 
@@ -165,13 +173,13 @@ class Replay:
 def random_step(example: Example, rng: np.random.Generator) -> Step:
     """One step of the example, uniformly at random."""
     t = int(rng.integers(len(example.features)))
-    return Step(example.features[t], example.trajectory.actions[t])
+    return Step(example.features[t], example.choices[t])
 
 
 def last_step(example: Example, rng: np.random.Generator) -> Step:
     """The last step of the example; in a successful episode, the one that reached the goal. `rng` is not used."""
     del rng
-    return Step(example.features[-1], example.trajectory.actions[-1])
+    return Step(example.features[-1], example.choices[-1])
 
 
 def pad_rows(rows: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:

@@ -150,7 +150,7 @@ class Discriminator:
         batch, taken = collate_steps([step for part in steps.values() for step in part])
         device = self.model.device
         uniform = torch.rand(len(batch), config.updates, 3, generator=self._generator)
-        random = random_actions(batch, uniform)
+        random = random_actions(batch, uniform, policy.gestures)
         by_policy = self._policy_actions(steps[EXPERT], policy, random)
         firsts = np.cumsum([0, *(len(part) for part in steps.values())]).tolist()
         sources = {
@@ -188,7 +188,7 @@ class Discriminator:
         device = policy.device
         uniform = torch.rand(len(expert), self.config.updates, 3, generator=self._generator).to(device)
         actions, _ = policy.sample(policy.encoder(collate([step.features for step in expert]).to(device)), uniform)
-        return random.replace_first(actions.to(random.verb.device))
+        return random.replace_first(actions.to(random.gesture.device))
 
     def _train_batch(self, samples: _Samples, update: int, policy: PolicyNet) -> dict[str, float]:
         config, net = self.config, self.model.net

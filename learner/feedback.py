@@ -18,8 +18,9 @@ from pathlib import Path
 
 from giirl_core.config import Config
 from giirl_core.files import explain
-from giirl_core.goals import is_held_out
+from giirl_core.gestures import read_gestures
 from giirl_core.nets.language import Vectors
+from giirl_core.types import is_held_out
 from giirl_core.wire.answers import SUFFIX, Answer, read_answer
 from learner.data import Example, Step, featurise_trajectory, steps_of
 
@@ -41,6 +42,7 @@ class Feedback:
 
     def __init__(self, folder: Path, config: Config, vectors: Vectors) -> None:
         self._folder, self._config, self._vectors = folder, config, vectors
+        self._gestures = read_gestures(config.net.gestures)
         self._files: dict[str, tuple[Version, Heard]] = {}
 
     def __len__(self) -> int:
@@ -76,11 +78,14 @@ class Feedback:
         try:
             answer = read_answer(path)
             self._check(path, answer)
+            played, *right = (
+                featurise_trajectory(one, self._vectors, self._gestures)
+                for one in (answer.episode, *answer.demonstrations)
+            )
         except (ValueError, OSError) as error:
             LOG.warning("an answer is left out: %s", explain(error))
             return Heard()
-        demonstrations = tuple(featurise_trajectory(one, self._vectors) for one in answer.demonstrations)
-        steps = steps_of([featurise_trajectory(answer.episode, self._vectors)]) if answer.wrong_steps else []
+        demonstrations, steps = tuple(right), steps_of([played])
         return Heard(demonstrations, tuple(steps[t] for t in answer.wrong_steps))
 
     def _check(self, path: Path, answer: Answer) -> None:

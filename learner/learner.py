@@ -13,6 +13,7 @@ from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from giirl_core.config import Config
+from giirl_core.gestures import read_gestures
 from giirl_core.metrics import Metrics
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.parameters import hash_nets, load_net, load_optimiser, serialise_net, serialise_optimiser
@@ -43,7 +44,8 @@ class Learner:
         self.vectors = load_vectors(config.net.vectors)
         self._rng = np.random.default_rng([config.seed, 0])
         self._generator = torch.Generator().manual_seed(config.seed)
-        self.demos = ExpertSampler(demonstrations, self.vectors, self._rng)
+        self.gestures = read_gestures(config.net.gestures)
+        self.demos = ExpertSampler(demonstrations, self.vectors, self._rng, self.gestures)
         self.replay = Replay(config.discriminator.replay_size, self._rng)
         device = learner_device(config)
         reward = build_reward(config)
@@ -69,7 +71,7 @@ class Learner:
 
     def featurise(self, trajectories: Sequence[Trajectory]) -> list[Example]:
         """Trajectories with the features that the nets read."""
-        return [featurise_trajectory(trajectory, self.vectors) for trajectory in trajectories]
+        return [featurise_trajectory(trajectory, self.vectors, self.gestures) for trajectory in trajectories]
 
     def carried_rewards(self, rollouts: Sequence[Example]) -> list[Tensor]:
         """The rewards [T, 1 + M] stored in the rollouts."""

@@ -14,7 +14,7 @@ from giirl_core.nets.augment import rename
 from giirl_core.nets.batch import Batch, collate
 from giirl_core.nets.models import PolicyNet
 from learner.actor_critic import copy_net, gradient_step
-from learner.data import Example, Replay, Step, collate_steps
+from learner.data import Example, Replay, Step, collate_steps, steps_of
 from learner.losses import iq_loss, sqil_loss
 
 TARGET_RATE = 0.05  # of the moving average that is SQIL's target net
@@ -111,7 +111,7 @@ def _transitions(examples: Sequence[Example], rng: np.random.Generator) -> tuple
     current: list[Step] = []
     following: list[Step | None] = []
     for example in examples:
-        steps = [Step(f, a) for f, a in zip(example.features, example.trajectory.actions, strict=True)]
+        steps = steps_of([example])
         t = int(rng.integers(len(steps)))
         current.append(steps[t])
         following.append(steps[t + 1] if t + 1 < len(steps) else None)

@@ -155,8 +155,10 @@ def _action(index: int, action: Click | Type, page: Page, goal: Goal) -> Action:
 
 
 def _candidate(action: Action, goal: Goal) -> Click | Type:
-    if not action.learnable:
-        raise ValueError(f"{action} has no reward: wanted a click on an element, or words of the goal typed into one")
+    if action.literal or action.at != (0.0, 0.0) or action.verb not in (Verb.CLICK, Verb.TYPE):
+        raise ValueError(
+            f"{action} is not in this API: wanted a click on an element, or words of the goal typed into one"
+        )
     if action.verb is Verb.CLICK:
         return Click(verb="click", element=action.element)
     return Type(verb="type", element=action.element, text=action.text(goal))

@@ -194,7 +194,7 @@ def test_an_upward_arrow_is_found_in_each_of_its_forms(
 
 def test_actions_have_one_address() -> None:
     importers = {name(path) for path in sources(*PACKAGES, "tests") if "giirl_core.actions" in imports(path)}
-    assert importers == {"giirl_core/sampled_actions.py", "giirl_core/types.py"}
+    assert importers == {"giirl_core/choices.py", "giirl_core/gestures.py", "giirl_core/types.py"}
 
 
 def test_no_folder_has_more_than_max_modules() -> None:

@@ -29,7 +29,9 @@ from actors.schedule import Schedule
 from benchmarks.reading.accepted_actions import accepted, look
 from browser_farm.human.recording_files import find_recordings
 from browser_farm.human.recordings import import_recordings
+from giirl_core.choices import Choice, action_of
 from giirl_core.config import CloningConfig, Config
+from giirl_core.gestures import BASIC
 from giirl_core.metrics import Metrics
 from giirl_core.nets.batch import collate
 from giirl_core.nets.language import load_vectors
@@ -50,7 +52,7 @@ def load(folder: Path) -> list[Trajectory]:
     """All successful recordings whose actions the nets can learn."""
     tasks = list(find_recordings(folder, collections=[COLLECTION]))
     episodes, _ = import_recordings(folder, tasks=tasks, collections=[COLLECTION])
-    return [e.trajectory for e in episodes if e.outcome.success and all(a.learnable for a in e.trajectory.actions)]
+    return [e.trajectory for e in episodes if e.outcome.success and not e.trajectory.unlearnable(BASIC)]
 
 
 def split(trajectories: Sequence[Trajectory]) -> tuple[list[Trajectory], list[Trajectory]]:
@@ -71,13 +73,15 @@ def predict(net: PolicyNet, examples: Sequence[Example], pages: int = 64) -> lis
     """The greedy action at every step of every example."""
     net.eval()
     rows = [row for example in examples for row in example.features]
-    guesses: list[Action] = []
+    guesses: list[Choice] = []
     for first in range(0, len(rows), pages):
         guesses += net.sample(net.encoder(collate(rows[first : first + pages])), None)[0].first()
     net.train()
     found, at = [], 0
     for example in examples:
-        found.append(guesses[at : at + len(example.features)])
+        some = guesses[at : at + len(example.features)]
+        pages_of = example.trajectory.pages
+        found.append([action_of(choice, page, net.gestures) for choice, page in zip(some, pages_of, strict=True)])
         at += len(example.features)
     return found
 

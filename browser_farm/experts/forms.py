@@ -102,15 +102,17 @@ def enter_in_case(view: PageView) -> Action:
 
 @expert_for("enter-date")
 def enter_the_date(view: PageView) -> Action:
-    month, day, year = view.extract(r"Enter (\S+) as").split("/")
-    return view.fill({view.row("input_date"): f"{year}-{month}-{day}"}) or view.click_button("Submit")
+    field, date = view.row("input_date"), view.extract(r"Enter (\S+) as")
+    month, day, year = date.split("/")
+    return view.click_button("Submit") if view.page.value[field] == f"{year}-{month}-{day}" else view.type(field, date)
 
 
 @expert_for("enter-time")
 def enter_the_time(view: PageView) -> Action:
-    hour, minute, half = re.findall(r"(\d+):(\d+) ([AP]M)", view.instruction)[0]
-    hour = int(hour) % 12 + (12 if half == "PM" else 0)
-    return view.fill({view.row("input_time"): f"{hour:02}:{minute}"}) or view.click_button("Submit")
+    field, time = view.row("input_time"), view.extract(r"(\d+:\d+ [AP]M)")
+    hour, minute, half = re.split("[: ]", time)
+    done = view.page.value[field] == f"{int(hour) % 12 + (12 if half == 'PM' else 0):02}:{minute}"
+    return view.click_button("Submit") if done else view.type(field, time)
 
 
 @expert_for("find-word")

@@ -11,11 +11,10 @@ import numpy as np
 from actors.player import AgentSpec, open_browser_player
 from giirl.statistics import goal_sensitivity
 from giirl_core.config import Config
-from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
 from giirl_core.nets.reward import RewardModel, build_reward
 from giirl_core.progress import Display
-from giirl_core.types import Action, Goal, Page, Purpose, Trajectory, Verb
+from giirl_core.types import Action, Goal, Page, Purpose, Trajectory, Verb, is_held_out
 from giirl_core.weights import Weights
 
 

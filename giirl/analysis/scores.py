@@ -12,6 +12,7 @@ from rich.table import Table
 
 from giirl.signals import stopping
 from giirl_core.config import Config
+from giirl_core.gestures import read_gestures
 from giirl_core.metrics import Metrics
 from giirl_core.nets.reward import RewardModel, build_reward
 from giirl_core.telemetry.series import SERVICE
@@ -30,8 +31,9 @@ def score_file(config: Config, reward: Weights, file: Path) -> dict[str, Any]:
     represent.
     """
     sound, left_out = read_sound_episodes(file)
-    episodes = [episode for episode in sound if not episode.trajectory.unlearnable]
-    left_out += [episode.trajectory.unlearnable for episode in sound if episode.trajectory.unlearnable]
+    reasons = [episode.trajectory.unlearnable(read_gestures(config.net.gestures)) for episode in sound]
+    episodes = [episode for episode, why in zip(sound, reasons, strict=True) if not why]
+    left_out += filter(None, reasons)
     trajectories = [episode.trajectory for episode in episodes]
     score = build_reward(config, reward).score
     batches = [trajectories[i : i + BATCH] for i in range(0, len(trajectories), BATCH)]

@@ -32,7 +32,7 @@ from giirl.run.folder import RunFolder
 from giirl.run.worlds import world_of
 from giirl.signals import Stopped, on_signals
 from giirl_core.config import Config
-from giirl_core.config_file import changed, dump_config, load_config
+from giirl_core.config_file import changed, load_config
 from giirl_core.files import explain
 from giirl_core.progress import Display
 
@@ -112,7 +112,7 @@ def train(
             raise ValueError("--resume and --resume-or-start exclude each other: give one of them")
         settings = load_config(path, changes)
         world_of(settings).check(settings)
-        folder, checkpoint = context.with_resource(retry.resumed_or_started(settings))
+        folder, settings, checkpoint = context.with_resource(retry.resumed_or_started(settings))
         if retry.is_finished(folder, settings, checkpoint):
             display.say(f"{folder.path} is finished; its result:")
             display.table(world_of(settings).table(json.loads(folder.result.read_bytes())))
@@ -180,7 +180,7 @@ def _resumed_config(folder: RunFolder, config: Config, path: Path | None, change
         raise ValueError(f"--resume uses the config of the run: {what} is fixed, only {allowed} may change")
     if changes:
         config = load_config(folder.config_file, changes)
-        folder.write(folder.config_file, dump_config(config))
+        folder.save_config(config)
     return config
 
 

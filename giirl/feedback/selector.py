@@ -16,9 +16,8 @@ from giirl.report.inspector import Inspector
 from giirl.report.numbers import weights_of
 from giirl.run.folder import RunFolder
 from giirl_core.config import Config
-from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
-from giirl_core.types import EpisodeSpec, Purpose, Trajectory, page_seed
+from giirl_core.types import EpisodeSpec, Purpose, Trajectory, is_held_out, page_seed
 from giirl_core.wire.answers import file_name
 
 ROUND = 16  # episodes that are played before some of them are chosen

@@ -21,6 +21,7 @@ from giirl.signals import handling
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.files import folder_lock, is_locked
+from giirl_core.gestures import read_gestures
 
 POLL_S = 0.5
 
@@ -68,7 +69,9 @@ def _stage(config: Config) -> Stage:
             raise ValueError("the fake browser has no window to show anything in")
         check_recordable([task])
 
-    return Stage(lambda task: open_recorder([task], config.actors.chrome_sandbox), check)
+    return Stage(
+        lambda task: open_recorder([task], config.actors.chrome_sandbox), check, read_gestures(config.net.gestures)
+    )
 
 
 def _keep_desk_full(desk: Desk, selector: Selector, ended: Event) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from threading import Lock, Thread
@@ -12,6 +12,7 @@ from browser_farm.chrome.devtools import BrowserGone
 from browser_farm.human.steps import Interrupted
 from giirl.feedback.selector import Candidate
 from giirl_core.files import explain
+from giirl_core.gestures import BASIC, Gesture
 from giirl_core.types import Episode, EpisodeSpec, Trajectory
 
 CLOSE_TIMEOUT_S = 60.0
@@ -44,9 +45,17 @@ class Take:
 class Stage:
     """One window at a time, whoever asks for it. It waits as long as the person takes."""
 
-    def __init__(self, open_recorder: Callable[[str], Recording], check: Callable[[str], None]) -> None:
-        """`open_recorder` opens the window for a task; `check` raises ValueError if the task cannot be shown there."""
-        self._open_recorder, self._check = open_recorder, check
+    def __init__(
+        self,
+        open_recorder: Callable[[str], Recording],
+        check: Callable[[str], None],
+        gestures: Sequence[Gesture] = BASIC,
+    ) -> None:
+        """`open_recorder` opens the window for a task; `check` raises ValueError if the task cannot be shown there.
+
+        `gestures` are those that the run learns. A way with any other is refused.
+        """
+        self._open_recorder, self._check, self._gestures = open_recorder, check, gestures
         self._lock = Lock()
         self._takes: dict[str, Take] = {}  # by key of the episode
         self._recorder: Recording | None = None  # while its window is open
@@ -94,7 +103,7 @@ class Stage:
                 episode = recorder.record(spec, lambda goal: None)
             if episode is None:
                 raise ValueError("nothing was done in the window")
-            episode.trajectory.check_learnable()
+            episode.trajectory.check(self._gestures)
             take.shown = episode.trajectory
         except (Interrupted, BrowserGone, ValueError, RuntimeError, OSError) as error:
             take.error = explain(error) or type(error).__name__

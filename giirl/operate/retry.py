@@ -6,12 +6,14 @@ import json
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from giirl.run.folder import RunFolder
 from giirl.run.states import State, state_of
 from giirl_core.config import Config
-from giirl_core.config_file import differences, dump_config
+from giirl_core.config.sections import SHOWN
+from giirl_core.config_file import differences
 from giirl_core.files import is_locked
 from learner.checkpoint import MANIFEST
 
@@ -21,8 +23,8 @@ RESUMABLE = ("iterations", "checkpoint_every", "keep_checkpoints", "evaluate.", 
 
 
 @contextmanager
-def resumed_or_started(config: Config) -> Iterator[tuple[RunFolder, Path | None]]:
-    """The folder of the run and the checkpoint to go on from; None if the run begins, or begins again.
+def resumed_or_started(config: Config) -> Iterator[tuple[RunFolder, Config, Path | None]]:
+    """The folder of the run, its config and the checkpoint to go on from; None if the run begins, or begins again.
 
     No other process gets into it meanwhile. ValueError, which names the way out, if the config names no folder, or one
     with a run of other settings, with other files, or in use for LOCK_TIMEOUT_S.
@@ -33,9 +35,11 @@ def resumed_or_started(config: Config) -> Iterator[tuple[RunFolder, Path | None]
     _wait_until_free(path)
     if state_of(path) is not State.SAVED:
         with RunFolder.started(config, "") as folder:
-            yield folder, None
+            yield folder, config, None
         return
     with RunFolder.resumed(path) as (folder, saved, checkpoint):
+        if SHOWN in config.net.gestures:
+            config = replace(config, net=replace(config.net, gestures=saved.net.gestures))
         changes = [key for key in differences(saved, config) if key != "run"]
         if fixed := [key for key in changes if not key.startswith(RESUMABLE)]:
             raise ValueError(
@@ -43,8 +47,8 @@ def resumed_or_started(config: Config) -> Iterator[tuple[RunFolder, Path | None]
                 f"choose another run=FOLDER, or give the settings in its {folder.config_file.name}"
             )
         if changes:
-            folder.write(folder.config_file, dump_config(config))
-        yield folder, checkpoint
+            folder.save_config(config)
+        yield folder, config, checkpoint
 
 
 def is_finished(folder: RunFolder, config: Config, checkpoint: Path | None) -> bool:

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from giirl_core.choices import Choice, action_of
 from giirl_core.config import Config
+from giirl_core.gestures import TYPING, Gesture, Takes, is_allowed
 from giirl_core.nets.reward import RewardModel, reward_of
 from giirl_core.types import NO_SPAN, Action, Goal, Outcome, Page, Verb
 
@@ -82,8 +84,8 @@ def scale_of(config: Config) -> Scale:
 
 
 def score_elements(model: RewardModel, page: Page, goal: Goal) -> tuple[ScoredAction, ...]:
-    """The highest-reward action on each element: a click or, in a text field, typing any span of the instruction."""
-    actions = element_actions(page, goal)
+    """The highest-reward action on each element, among `element_actions`."""
+    actions = element_actions(page, goal, model.net.gestures)
     if not actions:
         return ()
     best: dict[int, ScoredAction] = {}
@@ -93,18 +95,18 @@ def score_elements(model: RewardModel, page: Page, goal: Goal) -> tuple[ScoredAc
     return tuple(best.values())
 
 
-def element_actions(page: Page, goal: Goal) -> list[Action]:
-    """Every action that the nets know on a page: a click on each leaf, each span of the goal into each field."""
-    return [action for row in range(len(page)) for action in _options(page, goal, row)]
-
-
-def _options(page: Page, goal: Goal, row: int) -> list[Action]:
-    options = [Action(verb=Verb.CLICK, element=row)] if page.leaf[row] else []
-    if page.typable[row]:
-        words = range(len(goal.tokens))
-        spans = [(start, end) for start in words for end in words if start <= end]
-        options += [Action(verb=Verb.TYPE, element=row, start=start, end=end) for start, end in spans]
-    return options
+def element_actions(page: Page, goal: Goal, gestures: Sequence[Gesture]) -> list[Action]:
+    """Every action on a page that the nets know, but those with a second element, of which there are too many."""
+    words = range(len(goal.tokens))
+    spans = [(start, end) for start in words for end in words if start <= end]
+    found = []
+    for row in range(len(page)):
+        for number, gesture in enumerate(gestures):
+            if gesture.has_second or not is_allowed(gesture, page, row):
+                continue
+            own = spans if gesture.takes is Takes.WORDS else [(NO_SPAN, NO_SPAN)]
+            found += [action_of(Choice(number, row, start, end), page, gestures) for start, end in own]
+    return found
 
 
 def element_name(page: Page, row: int) -> str:
@@ -116,10 +118,14 @@ def element_name(page: Page, row: int) -> str:
 def describe_action(page: Page, goal: Goal, action: Action) -> str:
     """A description of an action, such as `click button “Ok”`."""
     where = element_name(page, action.element) if action.element >= 0 else "page"
-    if action.verb is not Verb.TYPE:
-        return f"{Verb(action.verb).name.lower()} {where}"
-    text = action.text(goal) if action.start != NO_SPAN else "…"
-    return f"type “{truncate(text)}” into {where}"
+    text = action.text(goal) or "…"
+    if action.verb is Verb.PRESS:
+        return f"press {text} in {where}"
+    if action.verb in TYPING and (action.verb is not Verb.ACTIVATE or action.text(goal)):
+        return f"{action.verb.name.lower()} “{truncate(text)}” into {where}"
+    end = f" to {element_name(page, action.to)}" if action.to >= 0 else ""
+    by = f" by {action.by[0]:.0f}, {action.by[1]:.0f} px" if any(action.by) else ""
+    return f"{action.verb.name.lower().replace('_', ' ')} {where}{end}{by}"
 
 
 def truncate(text: str) -> str:

@@ -154,7 +154,7 @@ class Play:
         """The policy's choice on a page, and the best of the others."""
         page, goal = observation.page, observation.goal
         chosen = self.agent.select_actions([observation], np.zeros((1, 1, 3), np.float32))[0].action
-        actions = [chosen, *element_actions(page, goal)]
+        actions = [chosen, *element_actions(page, goal, self.agent.net.gestures)]
         probabilities = [math.exp(min(0.0, p)) for p in self.agent.log_probabilities(observation, actions).tolist()]
         scores = self.reward.score_actions(page, goal, actions).tolist() if self.reward is not None else None
         candidates = [

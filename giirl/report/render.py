@@ -21,7 +21,7 @@ from giirl.report.element_rewards import (
     truncate,
 )
 from giirl.report.overlay import MAX_LABELS, Overlay, draw_overlay, format_reward
-from giirl_core.types import Goal, Verb
+from giirl_core.types import Goal
 
 OWN, OTHER = "Own instruction", "Swapped instruction"
 
@@ -122,9 +122,9 @@ def _side(step: str, frame: Frame, heading: str, scored: ScoredPage, scale: Scal
 
 
 def _cell(one: ScoredAction, goal: Goal) -> str:
-    """A reward, preceded by the typed words if the action types."""
-    words = f"“{truncate(one.action.text(goal))}” " if one.action.verb is Verb.TYPE else ""
-    return words + format_reward(one.reward)
+    """A reward, preceded by the words or the key if the action types."""
+    text = one.action.text(goal)
+    return (f"“{truncate(text)}” " if text else "") + format_reward(one.reward)
 
 
 def _rows(frame: Frame, scored: Sequence[ScoredPage]) -> tuple[tuple[str, tuple[str, ...]], ...]:

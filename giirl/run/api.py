@@ -98,8 +98,9 @@ class LearnedReward:
     A file needs neither its run nor Chrome nor Ray. `version` is the learner step of the reward, `form` how its logit
     became a reward. ValueError, one line, for a run without a learned reward and for a damaged or foreign file.
 
-    An observation is a page, or an `Observation`; goals are `Goal` or text. The nets know two actions: click an
-    element, and type words of the goal into it. Any other is a ValueError that says which.
+    An observation is a page, or an `Observation`; goals are `Goal` or text. `gestures` are the actions that the net
+    knows, without their elements: to click, to type words of the goal, and what the demonstrations showed. Any other
+    action is a ValueError that says which.
     """
 
     def __init__(self, run_or_file: str | Path) -> None:
@@ -108,6 +109,7 @@ class LearnedReward:
         path = Path(run_or_file)
         self.model = load_reward(path) if path.is_dir() else import_reward(path)
         self.version, self.form = self.model.version, self.model.form
+        self.gestures = tuple(map(str, self.model.net.gestures))
 
     def score(self, observation: Observation | Page, action: Action, goal: Goal | str) -> float:
         """The reward of one action on one page under a goal."""
@@ -119,7 +121,7 @@ class LearnedReward:
         """[M] rewards of M actions on one page, which is read only once."""
         page, goal = _page_of(observation), _goal_of(goal)
         for action in actions:
-            _check_action(page, action, goal)
+            _check_action(action, page, goal)
         return self.model.score_actions(page, goal, actions)
 
     def score_batch(
@@ -131,12 +133,12 @@ class LearnedReward:
         counts = len(observations), len(actions), len(goals)
         if len(set(counts)) > 1:
             raise ValueError("got {} observations, {} actions and {} goals: wanted as many of each".format(*counts))
-        triples = list(zip(map(_page_of, observations), actions, map(_goal_of, goals), strict=True))
+        triples = list(zip(actions, map(_page_of, observations), map(_goal_of, goals), strict=True))
         for triple in triples:
             _check_action(*triple)
         rewards = [np.zeros(0, np.float32)]
         for first in range(0, len(triples), BATCH):
-            pages, acts, instructions = zip(*triples[first : first + BATCH], strict=True)
+            acts, pages, instructions = zip(*triples[first : first + BATCH], strict=True)
             rewards.append(self.model.score_pairs(pages, acts, instructions).numpy())
         return np.concatenate(rewards)
 
@@ -149,11 +151,10 @@ def _goal_of(goal: Goal | str) -> Goal:
     return Goal(goal) if isinstance(goal, str) else goal
 
 
-def _check_action(page: Page, action: Action, goal: Goal) -> None:
-    """ValueError for an action that the nets do not know, or that is on no element or no word that exists."""
-    if not action.learnable:
-        raise ValueError(f"{action} has no reward: wanted a click on an element, or words of the goal typed into one")
-    if action.element >= len(page):
-        raise ValueError(f"the action is on element {action.element}: wanted one of the {len(page)} of the page")
+def _check_action(action: Action, page: Page, goal: Goal) -> None:
+    """ValueError for an action that is on no element or no word that exists."""
+    if max(action.element, action.to) >= len(page):
+        row = max(action.element, action.to)
+        raise ValueError(f"the action is on element {row}: wanted one of the {len(page)} of the page")
     if action.end >= len(goal.tokens):
         raise ValueError(f"the action types tokens {action.start}..{action.end}: the goal has {len(goal.tokens)}")

@@ -14,27 +14,29 @@ from browser_farm.human.recordings import ImportReport, import_recordings
 from browser_farm.mixed import expert_of
 from giirl.statistics import missing_pages
 from giirl_core.algorithms import ALGORITHMS
+from giirl_core.choices import shown_gestures
 from giirl_core.config import Config
-from giirl_core.goals import is_held_out
+from giirl_core.config.sections import SHOWN
+from giirl_core.gestures import MAX_GESTURES, read_gestures
 from giirl_core.metrics import Metrics
 from giirl_core.progress import Display
-from giirl_core.types import Episode, Purpose
+from giirl_core.types import Episode, Purpose, Trajectory, is_held_out
 from giirl_core.wire.messages import read_sound_episodes
 
 
 def collect_demonstrations(
     config: Config, metrics: Metrics, display: Display, open_player: OpenPlayer = open_browser_player
-) -> list[Episode]:
+) -> tuple[Config, list[Episode]]:
     """The demonstrations of a run: for each task the first `demos.per_task` successes whose goal is not held out.
 
     `demos.noise_fraction` of them are then replaced by random episodes. The list is empty for an algorithm that does
-    not learn from demonstrations.
+    not learn from demonstrations. In the config that comes with them, `net.gestures` has what they show.
     """
     if not ALGORITHMS[config.algorithm].needs_demonstrations and not config.policy.bc_warmup_updates:
-        return []
+        return with_shown_gestures(config, []), []
     episodes, origin = _read_source(config, metrics, display, open_player)
-    kept = select(episodes, origin, config, display)
-    return add_noise(kept, config, metrics, display, open_player) if config.demos.noise_fraction else kept
+    config, kept = select(episodes, origin, config, display)
+    return config, add_noise(kept, config, metrics, display, open_player) if config.demos.noise_fraction else kept
 
 
 def _read_source(
@@ -131,21 +133,43 @@ def add_noise(
     return mixed
 
 
-def select(episodes: list[Episode], origin: str, config: Config, display: Display) -> list[Episode]:
-    """The first `demos.per_task` successes of every task that the nets can learn; ValueError for a task without any."""
-    kept: list[Episode] = []
-    unlearnable: list[str] = []
+def with_shown_gestures(config: Config, demonstrations: Sequence[Trajectory]) -> Config:
+    """The config with what demonstrations show in place of SHOWN in `net.gestures`."""
+    if SHOWN not in config.net.gestures:
+        return config
+    listed = [text for text in config.net.gestures if text != SHOWN]
+    shown = shown_gestures(list(zip(one.actions, one.pages, strict=True)) for one in demonstrations)
+    room = MAX_GESTURES - len(read_gestures(listed))
+    further = [text for text in shown if text not in listed][:room]
+    return replace(config, net=replace(config.net, gestures=(*listed, *further)))
+
+
+def select(episodes: list[Episode], origin: str, config: Config, display: Display) -> tuple[Config, list[Episode]]:
+    """The first `demos.per_task` successes of every task that the nets can learn; ValueError for a task without any.
+
+    `net.gestures` of the config that comes with them has what the first successes show.
+    """
+    won: dict[str, list[Episode]] = {}
     for task in config.tasks:
-        won = [e for e in episodes if e.trajectory.task == task and e.outcome.success]
-        won = [e for e in won if not is_held_out(e.trajectory.goal, config.held_out_goals)]
-        if not won:
+        good = [e for e in episodes if e.trajectory.task == task and e.outcome.success]
+        won[task] = [e for e in good if not is_held_out(e.trajectory.goal, config.held_out_goals)]
+        if not won[task]:
             have = ", ".join(sorted({e.trajectory.task for e in episodes})) or "none"
             raise ValueError(f"{origin} has no successful demonstration of {task!r}; it has {have}")
-        learnable = [e for e in won if not e.trajectory.unlearnable]
-        unlearnable += [e.trajectory.unlearnable for e in won if e.trajectory.unlearnable]
+    first = [episode.trajectory for good in won.values() for episode in good[: config.demos.per_task]]
+    config = with_shown_gestures(config, first)
+    gestures = read_gestures(config.net.gestures)
+    kept: list[Episode] = []
+    unlearnable: list[str] = []
+    for good in won.values():
+        reasons = [episode.trajectory.unlearnable(gestures) for episode in good]
+        learnable = [episode for episode, why in zip(good, reasons, strict=True) if not why]
+        unlearnable += filter(None, reasons)
         if not learnable:
             raise ValueError(unlearnable[-1])
         kept += learnable[: config.demos.per_task]
+    if config.net.gestures:
+        display.say(f"gestures that the policy learns besides click and type words: {', '.join(config.net.gestures)}")
     if unlearnable:
         display.say(f"{origin}: {len(unlearnable)} demonstrations are left out, the first because {unlearnable[0]}")
-    return kept
+    return config, kept

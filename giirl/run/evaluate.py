@@ -11,10 +11,9 @@ from actors.browser import measured_tasks
 from actors.player import AgentSpec, OpenPlayer, open_browser_player
 from giirl.statistics import Score, missing_pages, percent
 from giirl_core.config import Config
-from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
 from giirl_core.progress import Display
-from giirl_core.types import Episode, Purpose
+from giirl_core.types import Episode, Purpose, is_held_out
 from giirl_core.weights import Weights
 
 THESIS = {"click-test": 1.00, "click-test-2": 1.00, "click-button": 0.99, "enter-text": 0.94}  # table 4.1

@@ -61,7 +61,7 @@ class RunFolder:
             check_free(folder.path)
             folder.clear()
             folder._begun_with = dump_config(config)
-            folder.write(folder.config_file, folder._begun_with)
+            folder.save_config(config)
             yield folder
 
     @classmethod
@@ -170,6 +170,13 @@ class RunFolder:
         first = max(above, _number(self.incarnations), *counted) + 1
         self.write(self.incarnations, str(first + RESERVED))
         return first
+
+    def save_config(self, config: Config) -> None:
+        """Replace the config."""
+        text = dump_config(config)
+        self.write(self.config_file, text)
+        if self._begun_with:
+            self._begun_with = text
 
     def write(self, path: Path, text: str) -> None:
         """Write a file atomically."""

@@ -121,5 +121,5 @@ def _verdict(episode: Episode | None) -> str:
     if episode is None:
         return "was discarded"
     verdict = "succeeded" if episode.outcome.success else "failed"
-    unlearnable = episode.trajectory.unlearnable
+    unlearnable = episode.trajectory.unlearnable()
     return f"{verdict}, but cannot be learned from: {unlearnable}" if unlearnable else verdict

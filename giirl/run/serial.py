@@ -13,13 +13,12 @@ from actors.rollouts import play_pages
 from giirl.run.folder import RUNTIME_FILE
 from giirl.throughput import StreamState
 from giirl_core.config import Config
-from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
 from giirl_core.nets.language import load_vectors
 from giirl_core.nets.parameters import load_net
 from giirl_core.nets.reward import build_policy, build_reward
 from giirl_core.telemetry.targets import node_address
-from giirl_core.types import Episode, Purpose
+from giirl_core.types import Episode, Purpose, is_held_out
 from giirl_core.weights import Weights
 
 

@@ -61,7 +61,9 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
         clear_dead_targets(folder.path.parent)
         if resume is None:
             metrics.enter("demonstrations")
-            folder.save_demonstrations(collect_demonstrations(config, metrics, display, open_player))
+            config, episodes = collect_demonstrations(config, metrics, display, open_player)
+            folder.save_config(config)
+            folder.save_demonstrations(episodes)
         demonstrations = [episode.trajectory for episode in folder.load_demonstrations()]
         learner = Learner(config, demonstrations, metrics)
         if resume is not None:

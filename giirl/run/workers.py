@@ -16,6 +16,7 @@ from giirl.run.fleet import POLL_S, Fleet
 from giirl.run.folder import RUNTIME_FILE, RunFolder
 from giirl.throughput import StreamState
 from giirl_core.config import Config
+from giirl_core.gestures import read_gestures
 from giirl_core.metrics import Metrics
 from giirl_core.processes.supervision import Platform
 from giirl_core.types import Episode
@@ -60,6 +61,7 @@ class WorkersRuntime:
             metrics=metrics,
             snapshot=self._snapshot,
             held_out=config.held_out_goals,
+            gestures=read_gestures(config.net.gestures),
         )
         self._stale_before = self._ingest.stale  # in earlier sessions of a resumed run
         known = max((offsets.incarnation for offsets in self._snapshot.offsets), default=0)

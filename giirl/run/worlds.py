@@ -9,6 +9,7 @@ from giirl.run.folder import RunFolder
 from giirl_core.algorithms import WorldName
 from giirl_core.config import Config
 from giirl_core.config_file import load_config
+from giirl_core.gestures import read_gestures
 from giirl_core.progress import Display
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ class Web:
         from actors.browser import check_tasks
 
         check_tasks(config)
+        read_gestures(config.net.gestures)
 
     def train(self, config: Config, folder: RunFolder, checkpoint: Path | None, display: Display) -> dict[str, Any]:
         if config.runtime != "serial":  # a missing Ray is reported before demonstrations are made

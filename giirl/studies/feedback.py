@@ -140,7 +140,7 @@ def _expert_way(player: Player, candidate: Candidate) -> Trajectory | None:
 
 
 def _is_good(episode: Episode) -> bool:
-    return episode.outcome.success and not episode.trajectory.unlearnable
+    return episode.outcome.success and not episode.trajectory.unlearnable()
 
 
 def feedback_study(seeds: Sequence[int], root: Path, changes: Sequence[str], display: Display) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from giirl_core.config.sections import STRICT, Positive, PositiveFloat, RewardForm, Share, Weight
+from giirl_core.config.sections import SHOWN, STRICT, Positive, PositiveFloat, RewardForm, Share, Weight
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -30,6 +30,9 @@ class NetConfig:
     """Let every element attend to all other elements of the page (self-attention)."""
     adjacent_elements: bool = False
     """Also read each element together with the elements directly next to it, as a check box with its label."""
+    gestures: tuple[str, ...] = (SHOWN,)
+    """What the policy can do besides `click` and `type words`, such as `["hover", "press Enter", "drag to"]`. `shown`
+    stands for what at least three demonstrations show."""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)

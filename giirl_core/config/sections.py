@@ -13,6 +13,7 @@ from pydantic import AfterValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
+SHOWN = "shown"  # in `net.gestures`: what demonstrations show
 
 MAX_ACTORS = 1024  # the index of an actor is part of its page seeds
 

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, fields
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from giirl_core.choices import Choice, choice_of
+from giirl_core.gestures import BASIC, Allowed, Gesture, Takes
 from giirl_core.nets.batch import Batch
-from giirl_core.types import NO_SPAN, Action, Trajectory, Verb
+from giirl_core.types import NO_SPAN, Action, Page, Trajectory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ActionBatch:
-    """M actions on each of B pages. `start` and `end` are the first and last goal token to type, -1 for none."""
+    """M actions on each of B pages, with the fields of `Choice`."""
 
-    verb: Tensor  # [B, M] int64
+    gesture: Tensor  # [B, M] int64
     element: Tensor  # [B, M] int64
     start: Tensor  # [B, M] int64
     end: Tensor  # [B, M] int64
@@ -32,16 +34,12 @@ class ActionBatch:
         return ActionBatch(**{name: torch.cat([new, old[len(new) :]]) for name, (new, old) in columns.items()})
 
     def table(self) -> Tensor:
-        """[B, M, 4] int64: verb, element, start, end."""
-        return torch.stack([self.verb, self.element, self.start, self.end], dim=2)
+        """[B, M, 4] int64: gesture, element, start, end."""
+        return torch.stack([self.gesture, self.element, self.start, self.end], dim=2)
 
-    def first(self) -> list[Action]:
+    def first(self) -> list[Choice]:
         """[B] the first action on each page."""
-        columns = (part[:, 0].tolist() for part in (self.verb, self.element, self.start, self.end))
-        return [
-            Action(verb=Verb(verb), element=element, start=start, end=end)
-            for verb, element, start, end in zip(*columns, strict=True)
-        ]
+        return [Choice(*row) for row in self.table()[:, 0].tolist()]
 
     def to(self, device: torch.device) -> ActionBatch:
         """The actions on another device."""
@@ -55,16 +53,27 @@ def join(*parts: ActionBatch) -> ActionBatch:
     )
 
 
-def collate_actions(actions: Sequence[Action]) -> ActionBatch:
+def collate_choices(choices: Sequence[Choice]) -> ActionBatch:
     """[B, 1] one action on each of B pages."""
-    verb, element, start, end = _table(actions).unsqueeze(2)
-    return ActionBatch(verb=verb, element=element, start=start, end=end)
+    return ActionBatch(**{name: part.unsqueeze(1) for name, part in _columns(choices).items()})
 
 
-def collate_candidates(actions: Sequence[Action]) -> ActionBatch:
+def collate_candidates(choices: Sequence[Choice]) -> ActionBatch:
     """[1, M] M candidate actions on one page."""
-    verb, element, start, end = _table(actions).unsqueeze(1)
-    return ActionBatch(verb=verb, element=element, start=start, end=end)
+    return ActionBatch(**{name: part.unsqueeze(0) for name, part in _columns(choices).items()})
+
+
+def choices_of(trajectory: Trajectory, gestures: Sequence[Gesture]) -> list[Choice]:
+    """[T] the actions of a trajectory as choices; ValueError if one is none of the gestures."""
+    return [choose(action, page, gestures) for action, page in zip(trajectory.actions, trajectory.pages, strict=True)]
+
+
+def choose(action: Action, page: Page, gestures: Sequence[Gesture]) -> Choice:
+    """An action on a page as a choice; ValueError if it is none of the gestures."""
+    choice = choice_of(action, page, gestures)
+    if choice is None:
+        raise ValueError(f"{action} is none of the {len(gestures)} gestures of the nets: wanted one of them")
+    return choice
 
 
 def collate_sampled(trajectories: Sequence[Trajectory]) -> tuple[ActionBatch, Tensor]:
@@ -80,41 +89,95 @@ def collate_sampled(trajectories: Sequence[Trajectory]) -> tuple[ActionBatch, Te
     parts = [part for part in sampled if part is not None]
     table = np.concatenate([part.choices for part in parts]) if parts else np.zeros((steps, 0, 4), np.int16)
     logp = np.concatenate([part.logp for part in parts]) if parts else np.zeros((steps, 0), np.float32)
-    verb, element, start, end = torch.from_numpy(table.astype(np.int64)).unbind(2)
-    return ActionBatch(verb=verb, element=element, start=start, end=end), torch.from_numpy(logp)
+    gesture, element, start, end = torch.from_numpy(table.astype(np.int64)).unbind(2)
+    return ActionBatch(gesture=gesture, element=element, start=start, end=end), torch.from_numpy(logp)
 
 
-def _table(actions: Sequence[Action]) -> Tensor:
-    """[4, B]: verb, element, start, end."""
-    table = np.array([(a.verb, a.element, a.start, a.end) for a in actions], dtype=np.int64).reshape(-1, 4)
-    return torch.from_numpy(table).T.contiguous()
+def _columns(choices: Sequence[Choice]) -> dict[str, Tensor]:
+    """[B] each field of B choices."""
+    table = torch.tensor([astuple(choice) for choice in choices], dtype=torch.int64).view(-1, 4)
+    return {f.name: table[:, column] for column, f in enumerate(fields(Choice))}
 
 
-def random_actions(batch: Batch, uniform: Tensor) -> ActionBatch:
+def legal_pairs(batch: Batch, gestures: Sequence[Gesture]) -> Tensor:
+    """[B, E, G] bool: whether each gesture can be made on each element."""
+    first = torch.zeros_like(batch.real)
+    first[:, 0] = batch.real[:, 0]
+    kinds = {Allowed.LEAVES: batch.clickable, Allowed.FIELDS: batch.typable, Allowed.ALL: batch.real}
+    kinds[Allowed.FIRST] = first
+    return torch.stack([kinds[gesture.allowed] for gesture in gestures], dim=2)
+
+
+def random_actions(batch: Batch, uniform: Tensor, gestures: Sequence[Gesture]) -> ActionBatch:
     """[B, M] actions of the random policy, computed from the random numbers `uniform` [B, M, 3] in [0, 1).
 
-    It is uniform over the legal (element, verb) pairs, then over the first word to type, then over the last one.
+    It is uniform over the legal pairs of an element and a basic gesture, click or type; with the same probability, if
+    there are further gestures, over those of an element and a further one. It types a first word that is uniform over
+    the goal, up to a last one that is uniform over the rest. A second element is uniform over the page.
     """
-    legal = torch.stack([batch.clickable, batch.typable], dim=2).flatten(1)  # [B, E * verbs], verbs CLICK and TYPE
-    count = legal.sum(1, keepdim=True)
-    nth = (uniform[:, :, 0] * count).long().clamp(max=count - 1).contiguous()
-    pair = torch.searchsorted(legal.long().cumsum(1), nth, right=True)
-    words = batch.token_mask.sum(1, keepdim=True)
+    legal = legal_pairs(batch, gestures)
+    pair = _random_pair(legal, uniform[:, :, 0])
+    gesture = pair % len(gestures)
+    words, elements = batch.token_mask.sum(1, keepdim=True), batch.real.sum(1, keepdim=True)
     start = (uniform[:, :, 1] * words).long().clamp(max=words - 1)
     end = start + (uniform[:, :, 2] * (words - start)).long().clamp(max=words - start - 1)
-    verb, none = pair % 2, torch.full_like(start, NO_SPAN)
-    typing = verb == Verb.TYPE
+    second = (uniform[:, :, 1] * elements).long().clamp(max=elements - 1)
+    none = torch.full_like(start, NO_SPAN)
+    typing, pairing = takes_words(gestures)[gesture], takes_second(gestures)[gesture]
     return ActionBatch(
-        verb=verb,
-        element=pair // 2,
-        start=torch.where(typing, start, none),
+        gesture=gesture,
+        element=pair // len(gestures),
+        start=torch.where(typing, start, torch.where(pairing, second, none)),
         end=torch.where(typing, end, none),
     )
 
 
-def random_logp(batch: Batch, actions: ActionBatch) -> Tensor:
+def _random_pair(legal: Tensor, uniform: Tensor) -> Tensor:
+    """[B, M] random pairs of element and gesture, as indices of the pairs that are `legal` [B, E, G]."""
+    basic, further = _halves(legal)
+    if further is None:
+        return _nth(basic, uniform)
+    none = ~further.any(1, keepdim=True)
+    is_basic = (uniform < 0.5) | none
+    within = torch.where(none, uniform, torch.where(is_basic, 2 * uniform, 2 * uniform - 1))
+    return torch.where(is_basic, _nth(basic, within), _nth(further, within))
+
+
+def _halves(legal: Tensor) -> tuple[Tensor, Tensor | None]:
+    """The legal pairs [B, E * G] of basic gestures, and of further ones, None without any."""
+    if legal.shape[2] == len(BASIC):
+        return legal.flatten(1), None
+    is_basic = torch.arange(legal.shape[2], device=legal.device) < len(BASIC)
+    return (legal & is_basic).flatten(1), (legal & ~is_basic).flatten(1)
+
+
+def _nth(legal: Tensor, uniform: Tensor) -> Tensor:
+    """[B, M] the index of a pair that is uniform over the `legal` [B, E * G] ones."""
+    count = legal.sum(1, keepdim=True)
+    nth = (uniform * count).long().clamp(max=count - 1).contiguous()
+    return torch.searchsorted(legal.long().cumsum(1), nth, right=True).clamp(max=legal.shape[1] - 1)
+
+
+def random_logp(batch: Batch, actions: ActionBatch, gestures: Sequence[Gesture]) -> Tensor:
     """[B, M] log-probabilities of legal actions under `random_actions`, nats."""
-    pairs = (batch.clickable.sum(1) + batch.typable.sum(1)).unsqueeze(1).float()
+    basic, further = _halves(legal_pairs(batch, gestures))
+    pairs = basic.sum(1, keepdim=True).float()
+    if further is not None:
+        is_basic = actions.gesture < len(BASIC)
+        others = further.sum(1, keepdim=True).float()
+        pairs = torch.where(is_basic, pairs, others) * torch.where(others > 0, 2.0, 1.0)
     words = batch.token_mask.sum(1, keepdim=True).float()
     spans = words.log() + (words - actions.start.clamp(min=0)).log()
-    return -pairs.log() - torch.where(actions.verb == Verb.TYPE, spans, 0.0)
+    logp = -pairs.log() - torch.where(takes_words(gestures)[actions.gesture], spans, 0.0)
+    seconds = batch.real.sum(1, keepdim=True).float().log()
+    return logp - torch.where(takes_second(gestures)[actions.gesture], seconds, 0.0)
+
+
+def takes_words(gestures: Sequence[Gesture]) -> Tensor:
+    """[G] bool: the gestures that type words of the goal."""
+    return torch.tensor([gesture.takes is Takes.WORDS for gesture in gestures])
+
+
+def takes_second(gestures: Sequence[Gesture]) -> Tensor:
+    """[G] bool: the gestures that take a second element."""
+    return torch.tensor([gesture.has_second for gesture in gestures])

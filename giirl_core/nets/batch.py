@@ -92,6 +92,7 @@ class Batch:
     match_token: Tensor  # [K] int64, MATCH_KINDS * flat row of the matching word + kind of the match
     match_weight: Tensor  # [K] the weights of one element and kind sum to 1
     row: Tensor  # [B, E] int64, flat row of each element; arbitrary after the last element
+    real: Tensor  # [B, E] bool, False after the last element
     clickable: Tensor  # [B, E] bool, False after the last element
     typable: Tensor  # [B, E] bool, False after the last element
     blocks: tuple[Block, ...]
@@ -159,6 +160,7 @@ def collate(rows: Sequence[Features]) -> Batch:
         "match_token": (np.repeat(first_token, match_counts) + token) * MATCH_KINDS + kind,
         "match_weight": np.concatenate([row.match_weights for row in rows]),
         "row": row,
+        "real": real,
         "clickable": (ids[:, CLICKABLE] > 0)[row] & real,
         "typable": (ids[:, TYPABLE] > 0)[row] & real,
     }

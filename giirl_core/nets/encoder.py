@@ -36,19 +36,25 @@ class Encoding:
     tokens: Tensor  # [T, D] goal tokens, flat
     elements: Tensor  # [N, D] page elements, flat
     row: Tensor  # [B, E] flat row of each element
+    element_mask: Tensor  # [B, E] True for elements, False for padding
     token_row: Tensor  # [B, L] flat row of each goal token
     token_mask: Tensor  # [B, L] True for tokens, False for padding
     summary: Tensor  # [B, D] of goal and page together
 
     def select(self, pages: Tensor) -> Encoding:
         """The encoding of b of the pages, given by their indices [b]. The flat tables stay complete."""
-        per_page = (self.row, self.token_row, self.token_mask, self.summary)
+        per_page = (self.row, self.element_mask, self.token_row, self.token_mask, self.summary)
         return Encoding(self.batch, self.tokens, self.elements, *(part.index_select(0, pages) for part in per_page))
 
     @property
     def goal_tokens(self) -> Tensor:
         """[B, L, D] the tokens of each goal, 0 after the last one."""
         return functional.embedding(self.token_row, self.tokens)
+
+    @property
+    def page_elements(self) -> Tensor:
+        """[B, E, D] the elements of each page, arbitrary after the last one."""
+        return functional.embedding(self.row, self.elements)
 
     def element(self, index: Tensor) -> Tensor:
         """[B, M, D] the elements with the page indices `index` [B, M]."""
@@ -94,7 +100,7 @@ class Encoder(nn.Module):
         tokens = self._encode_goal(batch)
         elements = self._encode_page(batch, tokens)
         summary = torch.relu(self.summary(self._pool(batch, tokens, elements)))
-        return Encoding(batch, tokens, elements, batch.row, batch.token_row, batch.token_mask, summary)
+        return Encoding(batch, tokens, elements, batch.row, batch.real, batch.token_row, batch.token_mask, summary)
 
     def _encode_goal(self, batch: Batch) -> Tensor:
         """[T, D] the goal tokens in the context of the tokens around them. The rows between goals stay 0."""

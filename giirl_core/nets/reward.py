@@ -21,7 +21,15 @@ from torch.nn import functional
 from giirl_core.config import Config, NetConfig
 from giirl_core.config.sections import STRICT, PositiveFloat, RewardForm
 from giirl_core.files import atomic_write
-from giirl_core.nets.action_batch import ActionBatch, collate_actions, collate_candidates, collate_sampled, join
+from giirl_core.nets.action_batch import (
+    ActionBatch,
+    choices_of,
+    choose,
+    collate_candidates,
+    collate_choices,
+    collate_sampled,
+    join,
+)
 from giirl_core.nets.batch import collate
 from giirl_core.nets.features import Features, featurise
 from giirl_core.nets.language import Vectors, load_vectors
@@ -31,7 +39,7 @@ from giirl_core.types import UNSCORED, Action, Goal, Page, Trajectory
 from giirl_core.weights import Weights
 
 FORMS: tuple[str, ...] = get_args(RewardForm)
-SCHEMA: Final = 1  # of exported rewards: raise it when the file, the nets or the features of a page change
+SCHEMA: Final = 2  # of exported rewards: raise it when the file, the nets or the features of a page change
 HEADER = "giirl_reward"  # the key of the header in the metadata of the file
 
 
@@ -91,19 +99,26 @@ class RewardModel:
         return self.net.absent.device
 
     def score_pairs(self, pages: Sequence[Page], actions: Sequence[Action], goals: Sequence[Goal]) -> Tensor:
-        """[B] rewards of B (page, action, goal) triples."""
+        """[B] rewards of B (page, action, goal) triples; ValueError for an action that is no gesture of the net."""
         rows = [featurise(page, goal, self.vectors) for page, goal in zip(pages, goals, strict=True)]
-        return reward_of(self._logits(rows, collate_actions(actions)).squeeze(1), self.form, self.clip)
+        choices = [choose(action, page, self.net.gestures) for action, page in zip(actions, pages, strict=True)]
+        return reward_of(self._logits(rows, collate_choices(choices)).squeeze(1), self.form, self.clip)
 
     def score_actions(self, page: Page, goal: Goal, actions: Sequence[Action]) -> NDArray[np.float32]:
-        """[M] rewards of M actions on one page, which is encoded only once."""
-        logits = self._logits([featurise(page, goal, self.vectors)], collate_candidates(actions))
+        """[M] rewards of M actions on one page, which is encoded only once; ValueError as in `score_pairs`."""
+        candidates = collate_candidates([choose(action, page, self.net.gestures) for action in actions])
+        logits = self._logits([featurise(page, goal, self.vectors)], candidates)
         return reward_of(logits.squeeze(0), self.form, self.clip).numpy()
 
     def score(self, trajectories: Sequence[Trajectory]) -> list[NDArray[np.float32]]:
-        """The rewards [T * (1 + M)] of each trajectory, in the order that `Trajectory.with_rewards` expects."""
+        """The rewards [T * (1 + M)] of each trajectory, in the order that `Trajectory.with_rewards` expects.
+
+        ValueError as in `score_pairs`, also for sampled actions.
+        """
+        for trajectory in trajectories:
+            trajectory.check(self.net.gestures)
         rows = [featurise(page, t.goal, self.vectors) for t in trajectories for page in t.pages]
-        taken = collate_actions([action for trajectory in trajectories for action in trajectory.actions])
+        taken = collate_choices([choice for t in trajectories for choice in choices_of(t, self.net.gestures)])
         logits = self._logits(rows, join(taken, collate_sampled(trajectories)[0]))
         lengths = [len(trajectory) for trajectory in trajectories]
         return [part.flatten().numpy() for part in episode_rewards(logits, lengths, self.form, self.clip)]
@@ -138,7 +153,7 @@ def build_policy(config: Config) -> PolicyNet:
 class RewardHeader:
     """What the file of an exported reward says besides the parameters of the net."""
 
-    schema: Literal[1]  # SCHEMA
+    schema: Literal[2]  # SCHEMA
     version: int  # learner step of the weights
     net: NetConfig
     form: RewardForm

@@ -9,7 +9,7 @@ from urllib.parse import quote
 import numpy as np
 
 from giirl_core.files import atomic_write
-from giirl_core.types import DEMONSTRATION, NO_SPAN, UNSCORED, Goal, Trajectory, Verb
+from giirl_core.types import DEMONSTRATION, NO_SPAN, UNSCORED, Goal, Trajectory
 from giirl_core.wire import columns as cols
 from giirl_core.wire.messages import MAX_BYTES, WireError, as_wire_error, check_kind, decode, encode
 
@@ -21,8 +21,8 @@ RIGHT = -1  # Answer.wrong_from of an episode that is right
 class Answer:
     """What a person says of one episode. It holds no verdict of the page.
 
-    Raises ValueError for a step that does not exist, for corrections of an episode that is right, for an instruction
-    that lacks words which the episode types, and for actions that the nets cannot learn.
+    Raises ValueError for a step that does not exist, for corrections of an episode that is right, and for an
+    instruction that lacks words which the episode types.
     """
 
     episode: Trajectory  # as the policy played it
@@ -37,8 +37,7 @@ class Answer:
             raise ValueError("an episode that is right needs neither another instruction nor another way")
         if self.shown is not None and self.shown.task != self.episode.task:
             raise ValueError(f"the way shown is of {self.shown.task!r}, the episode of {self.episode.task!r}")
-        for trajectory in (self.episode, *self.demonstrations):
-            trajectory.check_learnable()
+        _ = self.demonstrations  # an instruction that lacks words is an error
 
     @property
     def demonstrations(self) -> list[Trajectory]:
@@ -70,7 +69,7 @@ def relabel(trajectory: Trajectory, goal: Goal) -> Trajectory:
     """The trajectory under another goal; ValueError if it types words that the goal lacks."""
     actions = []
     for t, action in enumerate(trajectory.actions, start=1):
-        if action.verb is Verb.TYPE:
+        if action.start != NO_SPAN:
             start, end = goal.find(text := action.text(trajectory.goal))
             if start == NO_SPAN:
                 raise ValueError(f"step {t} types “{text}”: wanted an instruction with these words")

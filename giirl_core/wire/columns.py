@@ -21,7 +21,7 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from giirl_core.sampled_actions import SampledActions
+from giirl_core.choices import SampledActions
 from giirl_core.types import Action, Goal, Page, Trajectory, Verb
 
 Column: TypeAlias = NDArray[Any]

@@ -10,9 +10,10 @@ from __future__ import annotations
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from giirl_core.gestures import BASIC, Gesture
 from giirl_core.metrics import Metrics
 from giirl_core.telemetry.series import DROPPED
 from giirl_core.types import DEMONSTRATION, UNSCORED, Episode
@@ -53,13 +54,11 @@ class Admission:
         metrics: Metrics,
         snapshot: IngestSnapshot,
         held_out: float = 0.0,
+        gestures: Sequence[Gesture] = BASIC,
     ) -> None:
-        self._run = run
-        self._policy_version = policy_version
-        self._reward_version = reward_version
-        self._limits = limits
-        self._metrics = metrics
-        self._queue = EpisodeQueue(limits.max_lag, held_out)
+        self._run, self._limits, self._metrics = run, limits, metrics
+        self._policy_version, self._reward_version = policy_version, reward_version
+        self._queue = EpisodeQueue(limits.max_lag, held_out, gestures)
         self._pulled: list[Episode] = list(snapshot.episodes)  # out of the queue, but the batch is still too small
         self._grants_due: set[str] = set()  # actors whose grant has changed
         self._actors = {offsets.actor: ActorState.from_offsets(offsets) for offsets in snapshot.offsets}

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from giirl_core.goals import is_held_out
-from giirl_core.types import Episode
+from giirl_core.gestures import Gesture
+from giirl_core.types import Episode, is_held_out
 from giirl_core.wire import messages as wire
 from giirl_core.wire.delivery import EpisodeMessage
-from giirl_core.wire.messages import WireError
 from learner.stream.actor_state import ActorState
 
 LOG = logging.getLogger(__name__)
@@ -30,8 +29,8 @@ class Queued:
 class EpisodeQueue:
     """Episodes in order of arrival. Not thread-safe, but `check` needs no lock: it changes nothing that others read."""
 
-    def __init__(self, max_lag: int, held_out: float) -> None:
-        self._max_lag, self._held_out = max_lag, held_out
+    def __init__(self, max_lag: int, held_out: float, gestures: Sequence[Gesture]) -> None:
+        self._max_lag, self._held_out, self._gestures = max_lag, held_out, gestures
         self._entries: deque[Queued] = deque()
         self.bytes = 0  # encoded
 
@@ -69,8 +68,10 @@ class EpisodeQueue:
             return "stale_queued"
         if entry.episode is None:
             try:
-                entry.episode = wire.build_episode(entry.message.header, entry.message.arrays)
-            except WireError as error:
+                episode = wire.build_episode(entry.message.header, entry.message.arrays)
+                episode.trajectory.check(self._gestures)
+                entry.episode = episode
+            except ValueError as error:
                 LOG.warning("dropped an invalid episode from %s: %s", entry.owner.actor, error)
                 return "invalid"
         return "held_out" if is_held_out(entry.episode.trajectory.goal, self._held_out) else ""

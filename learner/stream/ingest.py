@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
+from giirl_core.gestures import BASIC, Gesture
 from giirl_core.metrics import Metrics, waiting
 from giirl_core.types import Episode
 from giirl_core.wire.delivery import IncarnationCounts
@@ -38,6 +39,7 @@ class Ingest:
         metrics: Metrics | None = None,
         snapshot: IngestSnapshot | None = None,
         held_out: float = 0.0,
+        gestures: Sequence[Gesture] = BASIC,
     ) -> None:
         self._metrics = metrics or Metrics()
         self._admission = Admission(
@@ -48,6 +50,7 @@ class Ingest:
             metrics=self._metrics,
             snapshot=snapshot or IngestSnapshot(),
             held_out=held_out,
+            gestures=gestures,
         )
         self._refusals = 0
         self._listened_s = time.monotonic()

@@ -101,8 +101,9 @@ def _observe_healthy(command: Command, survival: Survival) -> None:
 
 def _kill_chrome(command: Command, survival: Survival) -> None:
     def recovered() -> bool:
-        survival.after_chrome = try_scrape(survival.run, "actor-0")
-        return total(survival.after_chrome, "giirl_env_steps_total") > before + 20
+        survival.after_chrome = now = try_scrape(survival.run, "actor-0")
+        lost = total(now, "giirl_episodes_total", outcome="lost")  # given back once the new Chrome has started
+        return lost > 0 and total(now, "giirl_env_steps_total") > before + 20
 
     before = total(try_scrape(survival.run, "actor-0"), "giirl_env_steps_total")
     _chrome(_find(command, "ray::ActorProcess")).send_signal(signal.SIGKILL)

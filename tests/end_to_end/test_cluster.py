@@ -138,10 +138,14 @@ def test_giirl_clean_removes_what_a_killed_learner_left(cluster: Cluster, folder
     words = ("train", str(folder / "tiny.toml"), "runtime=ray", f"run={run}", "iterations=100000")
     with Command(*words, env=cluster.driver) as command:
         command.until(lambda: step(run) > 1, "first iterations", timeout_s=150)
-        with Command("status", run, env=cluster.driver) as status:
-            assert status.wait() == 0, status.err
-            assert status.out.startswith(f"{run}: training; iteration ")
-            assert "actor           1 running" in status.out
+        deadline_s = time.monotonic() + 60  # its episodes may come before it is known to run
+        said = ""
+        while "actor           1 running" not in said and time.monotonic() < deadline_s:
+            with Command("status", run, env=cluster.driver) as status:
+                assert status.wait() == 0, status.err
+                said = status.out
+            assert said.startswith(f"{run}: training; iteration ")
+        assert "actor           1 running" in said
         with Command("clean", run, env=cluster.driver) as clean:
             assert clean.wait() == 1
             assert f"{run} is under way: giirl stop {run} first" in clean.err

@@ -21,6 +21,7 @@ from actors.rollouts import play_pages
 from browser_farm.mixed import expert_of
 from giirl_core.config import Config
 from giirl_core.config_file import load_config
+from giirl_core.gestures import BASIC
 from giirl_core.metrics import Metrics
 from giirl_core.types import Purpose
 from tests.test_frame import ROOT
@@ -58,7 +59,7 @@ def test_the_experts_do_what_each_of_the_five_kinds_asks_for(config: Config) -> 
     assert len(config.tasks) == 5
     assert sorted(e.trajectory.task for e in played if e.outcome.success) == sorted(2 * config.tasks)
     for episode in played:
-        episode.trajectory.check_learnable()
+        episode.trajectory.check(BASIC)
 
 
 def test_random_actions_do_not_pass_the_checks(config: Config) -> None:

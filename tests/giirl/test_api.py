@@ -133,7 +133,7 @@ def test_a_learned_reward_scores_one_action_several_and_batches_alike(folder: Ru
 @pytest.mark.parametrize(
     ("action", "message"),
     [
-        (Action(verb=Verb.HOVER, element=0), "has no reward: wanted a click on an element"),
+        (Action(verb=Verb.HOVER, element=0), "is none of the 2 gestures of the nets"),
         (Action(verb=Verb.CLICK, element=999), "is on element 999: wanted one of the"),
         (Action(verb=Verb.TYPE, element=0, start=0, end=999), "types tokens 0..999: the goal has"),
     ],
@@ -167,7 +167,7 @@ def test_a_damaged_or_foreign_file_is_one_line(folder: RunFolder, exported: Path
         "or it is damaged: ": [b"", b"text", blob[:-9], blob[: len(blob) // 2], b"\xff" * 64],
         "is damaged: its content has sha256": changed,
         "is no exported reward: wanted a file of `giirl reward export`": [checkpoint],
-        "its header has schema = 2.*reads schema 1": [with_header(blob, schema=2)],
+        "its header has schema = 1.*reads schema 2": [with_header(blob, schema=1)],
         "its header has form = 'best'": [with_header(blob, form="best")],
         "its header has depth = 3": [with_header(blob, depth=3)],
         "needs the word vectors 'hashed' of version 9, here is version 1": [with_header(blob, vectors_version="9")],

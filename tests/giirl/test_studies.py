@@ -14,10 +14,9 @@ from giirl.run.folder import RunFolder
 from giirl.run.serial import SerialRuntime
 from giirl.run.train import reward_of_run
 from giirl_core.config_file import load_config
-from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
 from giirl_core.progress import Display
-from giirl_core.types import Episode, Trajectory
+from giirl_core.types import Episode, Trajectory, is_held_out
 from learner.checkpoint import latest_checkpoint
 from learner.learner import Learner
 from tests.giirl.small import run

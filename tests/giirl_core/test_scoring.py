@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from giirl_core.types import Action, Trajectory, Verb
+from giirl_core.types import Trajectory
 from giirl_core.wire import messages as wire
 from giirl_core.wire import scoring
 from giirl_core.wire.messages import WireError
@@ -17,7 +15,7 @@ from giirl_core.wire.scoring import ScoreReply
 from tests.giirl_core.wire_examples import NUMBER, assert_same_trajectory, episode, trajectories
 
 
-@given(st.integers(0, 2**63), st.lists(trajectories(learnable=True), min_size=1, max_size=3))
+@given(st.integers(0, 2**63), st.lists(trajectories(), min_size=1, max_size=3))
 def test_a_request_survives_a_round_trip(number: int, sent: list[Trajectory]) -> None:
     header, arrays = wire.decode(scoring.encode_request(number, sent))
     assert scoring.read_request(header) == number
@@ -53,10 +51,3 @@ def test_encoding_refuses_an_empty_or_too_large_request() -> None:
     for refused in ([], [episode(1).trajectory] * (scoring.MAX_BATCH + 1)):
         with pytest.raises(ValueError, match="wanted 1 to"):
             scoring.encode_request(1, refused)
-
-
-def test_a_request_with_actions_that_are_not_learnable_is_a_wire_error() -> None:
-    sent = episode().trajectory
-    hovering = replace(sent, actions=(Action(verb=Verb.HOVER, element=0), *sent.actions[1:]))
-    with pytest.raises(WireError, match=r"click-button with seed 5, step 0 is HOVER .* the nets only click"):
-        scoring.build_request(*wire.decode(scoring.encode_request(0, [hovering])))

@@ -72,12 +72,8 @@ def pages(draw: st.DrawFn) -> Page:
 
 
 @st.composite
-def actions(draw: st.DrawFn, page: Page, goal: Goal, learnable: bool) -> Action:
-    """Any action on a page; only learnable ones if `learnable`."""
-    if learnable:
-        start = draw(st.integers(-1, len(goal.tokens) - 1))
-        verb = Verb.CLICK if start < 0 else Verb.TYPE
-        return Action(verb=verb, element=draw(st.integers(0, len(page) - 1)), start=start, end=start)
+def actions(draw: st.DrawFn, page: Page, goal: Goal) -> Action:
+    """Any action on a page."""
     rows, offsets = st.integers(-1, len(page) - 1), st.tuples(NUMBER, NUMBER)
     verb = draw(st.sampled_from(Verb))
     start = draw(st.integers(-1, len(goal.tokens) - 1)) if "start" in VERB_FIELDS[verb] else -1
@@ -95,8 +91,8 @@ def actions(draw: st.DrawFn, page: Page, goal: Goal, learnable: bool) -> Action:
 
 
 @st.composite
-def trajectories(draw: st.DrawFn, learnable: bool = False) -> Trajectory:
-    """Any trajectory of one to four steps; only with learnable actions if `learnable`."""
+def trajectories(draw: st.DrawFn) -> Trajectory:
+    """Any trajectory of one to four steps."""
     path = tuple(draw(st.lists(pages(), min_size=1, max_size=4)))
     goal = Goal("w" + draw(TEXT))
     numbers = st.lists(NUMBER, min_size=len(path), max_size=len(path))
@@ -105,7 +101,7 @@ def trajectories(draw: st.DrawFn, learnable: bool = False) -> Trajectory:
         goal=goal,
         seed=draw(st.integers(0, 2**53)),
         pages=path,
-        actions=tuple(draw(actions(page, goal, learnable)) for page in path),
+        actions=tuple(draw(actions(page, goal)) for page in path),
         behaviour_logp=np.array(draw(numbers), np.float32),
         rewards=np.array(draw(numbers), np.float32),
         policy_version=draw(st.integers(-1, 10**9)),

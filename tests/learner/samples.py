@@ -15,15 +15,15 @@ from actors.rollouts import play
 from actors.schedule import Schedule
 from browser_farm.experts import expert
 from browser_farm.fake import TASKS, FakeFarm
+from giirl_core.choices import Choice, SampledActions
 from giirl_core.config import NetConfig
 from giirl_core.metrics import Metrics
-from giirl_core.nets.action_batch import ActionBatch
+from giirl_core.nets.action_batch import ActionBatch, collate_candidates, collate_choices
 from giirl_core.nets.batch import Batch, collate
 from giirl_core.nets.features import Features, featurise
 from giirl_core.nets.language import Vectors, load_vectors
 from giirl_core.nets.layout import MATCH_KINDS
 from giirl_core.nets.models import PolicyNet, RewardNet
-from giirl_core.sampled_actions import SampledActions
 from giirl_core.types import Action, Episode, EpisodeSpec, Goal, Observation, Page, Purpose, Trajectory, Verb
 
 WIDTH = 16
@@ -76,9 +76,17 @@ def dense_matches(features: Features) -> NDArray[np.float32]:
 
 def on_one_page(actions: Sequence[Action]) -> ActionBatch:
     """[1, M] M actions on one page."""
-    columns = [[getattr(action, name) for action in actions] for name in ("verb", "element", "start", "end")]
-    verb, element, start, end = (torch.tensor([column]) for column in columns)
-    return ActionBatch(verb=verb, element=element, start=start, end=end)
+    return collate_candidates([choice(action) for action in actions])
+
+
+def choice(action: Action) -> Choice:
+    """A click, or words that are typed, as a choice. The page is not looked at."""
+    return Choice((Verb.CLICK, Verb.TYPE).index(action.verb), action.element, action.start, action.end)
+
+
+def collate_actions(actions: Sequence[Action]) -> ActionBatch:
+    """[B, 1] one action on each of B pages."""
+    return collate_choices([choice(action) for action in actions])
 
 
 def policy(seed: int = 0) -> PolicyNet:

@@ -11,10 +11,11 @@ import torch
 from torch import Tensor
 
 from actors.agents import PolicyAgent
+from giirl_core.choices import SampledActions
 from giirl_core.config import PolicyConfig
+from giirl_core.gestures import BASIC
 from giirl_core.metrics import Metrics
 from giirl_core.nets.action_batch import random_logp
-from giirl_core.sampled_actions import SampledActions
 from giirl_core.types import Action, EpisodeSpec, Goal, Observation, Verb
 from learner.actor_critic import ActorCritic, soft_optimal
 from learner.data import Example, collate_steps, featurise_trajectory, pad_rows, steps_of
@@ -88,7 +89,7 @@ def test_with_many_sampled_actions_the_target_equals_the_soft_optimal_distributi
     learner = critic(entropy=ALPHA)
     sampled, candidates = sample(learner, 4_000)
     batch = batch_of((SHORT, Goal(GOAL)))
-    proposal = torch.logaddexp(torch.from_numpy(sampled.logp), random_logp(batch, on_one_page(candidates)))
+    proposal = torch.logaddexp(torch.from_numpy(sampled.logp), random_logp(batch, on_one_page(candidates), BASIC))
     target = soft_optimal(rewards_of(candidates).unsqueeze(0), proposal, ALPHA)[0]
     actions = legal_actions(SHORT, Goal(GOAL))
     for action, p in zip(actions, (rewards_of(actions) / ALPHA).softmax(0).tolist(), strict=True):
@@ -168,7 +169,7 @@ def test_the_value_learns_the_discounted_return() -> None:
         with torch.no_grad():
             logp, _ = learner.net.evaluate(learner.net.encoder(batch), actions)
         on_policy = replace(rollout.trajectory, behaviour_logp=logp[:, 0].numpy())
-        learner.update([Example(on_policy, rollout.features)], [torch.tensor([[1.0], [4.0]])])
+        learner.update([replace(rollout, trajectory=on_policy)], [torch.tensor([[1.0], [4.0]])])
     with torch.no_grad():
         value = learner.net.state_value(learner.net.encoder(batch))
     assert value.tolist() == pytest.approx([1.0 + 0.5 * 4.0, 4.0], abs=0.3)

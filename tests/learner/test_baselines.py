@@ -11,14 +11,13 @@ import pytest
 import torch
 
 from giirl_core.config import Config, DiscriminatorConfig, NetConfig, SoftQConfig
-from giirl_core.goals import is_held_out
 from giirl_core.metrics import Metrics
 from giirl_core.nets.augment import rename
 from giirl_core.nets.batch import Batch
 from giirl_core.nets.layout import ELEMENT_OVERLAP, TOKEN_OVERLAP
 from giirl_core.nets.models import PolicyNet
 from giirl_core.nets.reward import RewardModel, episode_rewards
-from giirl_core.types import Action, Goal, Verb
+from giirl_core.types import Action, Goal, Verb, is_held_out
 from learner.algorithms import LOOPS
 from learner.data import Replay, collate_steps, featurise_trajectory, last_step, steps_of
 from learner.discriminator import Discriminator

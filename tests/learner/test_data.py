@@ -8,6 +8,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
+from giirl_core.gestures import BASIC, TYPE_WORDS
 from giirl_core.nets.features import featurise
 from giirl_core.types import Action, Trajectory, Verb
 from learner.data import Example, ExpertSampler, Replay, Step, featurise_trajectory
@@ -36,12 +37,12 @@ def test_an_action_that_is_correct_under_every_goal_is_no_negative() -> None:
     demos = sampler([enter(name) for name in NAMES])
     wrong = demos.wrong_goals(demos.sample(300))
     assert len(wrong) > 50
-    assert {step.action.verb for step in wrong} == {Verb.TYPE}
+    assert {BASIC[step.choice.gesture] for step in wrong} == {TYPE_WORDS}
 
 
 def test_typed_text_that_the_wrong_goal_lacks_has_no_span() -> None:
     demos = sampler([enter(name) for name in NAMES])
-    assert {(step.action.start, step.action.end) for step in demos.wrong_goals(demos.sample(50))} == {(-1, -1)}
+    assert {(step.choice.start, step.choice.end) for step in demos.wrong_goals(demos.sample(50))} == {(-1, -1)}
 
 
 def test_typed_text_gets_its_span_in_the_wrong_goal() -> None:
@@ -52,7 +53,7 @@ def test_typed_text_gets_its_span_in_the_wrong_goal() -> None:
         'And now for Ada copy "Bertram".', [page("input_text")], [Action(verb=Verb.TYPE, element=0, start=6, end=6)]
     )
     demos = sampler([first, second])
-    assert {step.action.start for step in demos.wrong_goals(demos.sample(80))} == {3, 5}
+    assert {step.choice.start for step in demos.wrong_goals(demos.sample(80))} == {3, 5}
 
 
 def test_an_action_that_experts_take_under_a_goal_is_no_negative_under_it() -> None:
@@ -67,7 +68,7 @@ def test_an_action_that_experts_take_under_a_goal_is_no_negative_under_it() -> N
     }
     wrong = demos.wrong_goals(examples)
     assert wrong
-    assert {(s.features.element_flags.tobytes(), s.action.element) for s in wrong} <= incorrect
+    assert {(s.features.element_flags.tobytes(), s.choice.element) for s in wrong} <= incorrect
 
 
 def test_tasks_with_a_single_goal_give_no_wrong_goals() -> None:
@@ -88,7 +89,7 @@ def test_sampling_depends_only_on_the_seed() -> None:
     def sampled(seed: int) -> list[int]:
         demos = sampler(episodes, seed)
         examples = demos.sample(20)
-        return [e.trajectory.seed for e in examples] + [s.action.element for s in demos.wrong_goals(examples)]
+        return [e.trajectory.seed for e in examples] + [s.choice.element for s in demos.wrong_goals(examples)]
 
     assert sampled(1) == sampled(1)
     assert sampled(1) != sampled(2)
@@ -132,5 +133,5 @@ def test_training_data_has_no_field_for_an_outcome() -> None:
         "reward_version",
         "sampled",
     }
-    assert {field.name for field in fields(Example)} == {"trajectory", "features"}
-    assert {field.name for field in fields(Step)} == {"features", "action"}
+    assert {field.name for field in fields(Example)} == {"trajectory", "features", "choices"}
+    assert {field.name for field in fields(Step)} == {"features", "choice"}

@@ -108,7 +108,7 @@ def test_the_request_for_a_page_is_read_as_that_page() -> None:
     request = ScoreRequest.model_validate(REQUEST)
     again = ScoreRequest.model_validate_json(ScoreRequest.of(*request.read()).model_dump_json(exclude_defaults=True))
     assert again == request
-    with pytest.raises(ValueError, match="has no reward: wanted a click on an element"):
+    with pytest.raises(ValueError, match="is not in this API: wanted a click on an element"):
         ScoreRequest.of(*request.read()[:2], [Action(verb=Verb.HOVER, element=0)])
 
 

@@ -108,7 +108,7 @@ def test_a_recording_is_interrupted_continued_and_trained_on(
     episodes = read_episodes(tmp_path / "mine.giirl")
     assert episodes[0].trajectory.seed == first.trajectory.seed
     assert len({episode.trajectory.seed for episode in episodes}) == len(episodes) == 3
-    assert all(episode.outcome.success and not episode.trajectory.unlearnable for episode in episodes)
+    assert all(episode.outcome.success and not episode.trajectory.unlearnable() for episode in episodes)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["guests.html", "guests.toml", "mine.giirl"]
 
     settings = [f'tasks=["{task}"]', "demos.source=file", "demos.path=mine.giirl", "run=run", "actors.tabs=1"]

@@ -12,6 +12,7 @@ from browser_farm.chrome.devtools import BrowserGone
 from browser_farm.human.recorder import Recorder
 from browser_farm.human.steps import Interrupted
 from giirl.run.record import record, watch
+from giirl_core.gestures import BASIC
 from giirl_core.progress import Display
 from giirl_core.types import Action, Episode, EpisodeSpec, Outcome, Verb
 from giirl_core.wire.messages import read_episodes, write_episodes
@@ -67,7 +68,7 @@ def test_typing_is_one_action_with_a_span_of_the_instruction(recorder: Recorder)
     assert actions_of(episode) == [("TYPE", "input_text", "Jerald"), ("CLICK", "Submit", "")]
     assert episode.trajectory.actions[0].start >= 0
     assert episode.outcome.success
-    episode.trajectory.check_learnable()
+    episode.trajectory.check(BASIC)
 
 
 @pytest.mark.chrome
@@ -170,7 +171,7 @@ def test_typing_into_the_parts_of_a_date_field_is_one_action(recorder: Recorder)
     date = episode.trajectory.goal.utterance.split()[1]
     assert actions_of(episode) == [("TYPE", "input_date", date), ("CLICK", "Submit", "")]
     assert episode.outcome.success
-    episode.trajectory.check_learnable()
+    episode.trajectory.check(BASIC)
 
 
 @pytest.mark.chrome

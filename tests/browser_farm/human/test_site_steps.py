@@ -11,6 +11,7 @@ import pytest
 from browser_farm.human.site_steps import SiteSteps
 from browser_farm.human.steps import episode_of
 from browser_farm.sites.page import Dialog, decode
+from giirl_core.gestures import BASIC
 from giirl_core.types import EpisodeSpec, Goal, Outcome, Page, Verb
 
 SCALE = 0.5
@@ -95,7 +96,7 @@ def test_a_date_that_the_page_accepted_is_the_date_of_the_instruction(reward: fl
     assert episode is not None
     (action,) = episode.trajectory.actions
     assert action.text(GOAL) == ("02/08/2024" if learnable else "2024-02-08")
-    assert (episode.trajectory.unlearnable == "") is learnable
+    assert (episode.trajectory.unlearnable(BASIC) == "") is learnable
 
 
 def test_typing_into_a_field_that_is_not_seen_goes_to_what_has_the_focus_and_is_not_learned() -> None:
@@ -104,7 +105,7 @@ def test_typing_into_a_field_that_is_not_seen_goes_to_what_has_the_focus_and_is_
     episode = episode_of(SPEC, GOAL, [one.step for one in made.recorded], Outcome(raw_reward=1.0, ended=True))
     assert episode is not None
     assert episode.trajectory.actions[0].element == -1
-    assert episode.trajectory.unlearnable
+    assert episode.trajectory.unlearnable()
 
 
 @pytest.mark.parametrize(

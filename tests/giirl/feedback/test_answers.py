@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from giirl_core.types import DEMONSTRATION, UNSCORED, Action, Goal, Verb
+from giirl_core.types import DEMONSTRATION, UNSCORED, Goal
 from giirl_core.wire.answers import Answer, encode_answer, read_answer, write_answer
 from giirl_core.wire.messages import WireError
 from tests.giirl.feedback.examples import clicking, typing
@@ -65,12 +65,6 @@ def test_the_way_that_a_person_shows_is_a_demonstration() -> None:
 def test_a_contradiction_is_no_answer(fields: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Answer(episode=EPISODE, **fields)  # type: ignore[arg-type]
-
-
-def test_an_action_that_the_nets_cannot_learn_is_no_answer() -> None:
-    drags = replace(EPISODE, actions=(Action(verb=Verb.DRAG, element=0, to=1),) * 3)
-    with pytest.raises(ValueError, match="the nets only click elements and type words of the goal"):
-        Answer(episode=drags)
 
 
 @pytest.mark.parametrize(

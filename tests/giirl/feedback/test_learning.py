@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,10 @@ import pytest
 from giirl.run.folder import RunFolder
 from giirl.run.serial import SerialRuntime
 from giirl_core.metrics import Metrics
-from giirl_core.types import Episode, Trajectory
+from giirl_core.types import Action, Episode, Trajectory, Verb
 from giirl_core.wire.answers import Answer, write_answer
 from learner.data import ExpertSampler
-from learner.feedback import Feedback
+from learner.feedback import Feedback, Heard
 from learner.learner import Learner
 from tests.giirl.feedback.examples import clicking, typing
 from tests.giirl.small import config, run
@@ -62,6 +63,19 @@ def test_they_are_read_again_only_when_something_has_changed(answers: Path) -> N
     heard = reader.read()
     assert heard is not None
     assert len(heard.demonstrations) == len(heard.wrong) == len(reader) == 0
+
+
+def test_an_answer_with_a_gesture_that_the_run_does_not_learn_is_left_out(
+    answers: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    drag = Action(verb=Verb.DRAG, element=0, to=1)
+    shown = replace(RIGHT.episode, actions=(drag,) * len(RIGHT.episode))
+    write_answer(answers, Answer(episode=RIGHT.episode, wrong_from=0, shown=shown))
+    assert feedback(answers).read() == Heard()
+    assert "is none of the 2 gestures of the nets" in caplog.text
+    heard = feedback(answers, 'net.gestures=["drag to"]').read()
+    assert heard is not None
+    assert len(heard.demonstrations) == 1
 
 
 def test_a_folder_that_does_not_exist_has_no_answer(tmp_path: Path) -> None:

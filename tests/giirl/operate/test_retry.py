@@ -25,7 +25,7 @@ FEW = ("iterations=6", "checkpoint_every=2", "evaluate.episodes=1", "evaluate.ra
 
 def attempt(settings: Config) -> Path | None:
     """One try of the command in this process; returns the checkpoint that it went on from."""
-    with resumed_or_started(settings) as (folder, checkpoint):
+    with resumed_or_started(settings) as (folder, settings, checkpoint):
         if not is_finished(folder, settings, checkpoint):
             train(settings, folder, checkpoint, Display())
         return checkpoint
@@ -114,7 +114,7 @@ def test_the_identity_of_a_try_without_a_checkpoint_stays(tmp_path: Path) -> Non
     shutil.rmtree(tmp_path / "run/checkpoints")
     folder = RunFolder(tmp_path / "run")
     identity = folder.identity
-    with resumed_or_started(settings) as (again, checkpoint):
+    with resumed_or_started(settings) as (again, _, checkpoint):
         assert checkpoint is None
         again.clear()
         assert again.identity == identity

@@ -22,7 +22,7 @@ def test_scripted_experts_demonstrate_the_tasks_that_are_named_and_the_file_the_
     settings = (f'tasks=["{BUTTON}", "{TEST}"]', "demos.source=file", f"demos.path={tmp_path / 'demos.giirl'}")
     with pytest.raises(ValueError, match=f"no successful demonstration of '{TEST}'"):
         collect_demonstrations(config(tmp_path, *settings), metrics, display)
-    found = collect_demonstrations(config(tmp_path, *settings, f'demos.scripted_tasks=["{TEST}"]'), metrics, display)
+    _, found = collect_demonstrations(config(tmp_path, *settings, f'demos.scripted_tasks=["{TEST}"]'), metrics, display)
     assert [episode.trajectory.task for episode in found] == [BUTTON] * 4 + [TEST] * 4
 
 

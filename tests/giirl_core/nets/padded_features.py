@@ -27,7 +27,7 @@ from giirl_core.nets.layout import (
     WORD,
     WORDS,
 )
-from giirl_core.types import TOKEN, Action, Goal, Page, Verb
+from giirl_core.types import TOKEN, Goal, Page
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,24 +137,6 @@ class Batch:
         return int(self.token_words.shape[0])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ActionBatch:
-    """M actions on each of B pages. `start` and `end` are the first and last goal token to type, -1 for none."""
-
-    verb: Tensor  # [B, M] int64
-    element: Tensor  # [B, M] int64
-    start: Tensor  # [B, M] int64
-    end: Tensor  # [B, M] int64
-
-    def first(self) -> list[Action]:
-        """[B] the first action on each page."""
-        columns = (part[:, 0].tolist() for part in (self.verb, self.element, self.start, self.end))
-        return [
-            Action(verb=Verb(verb), element=element, start=start, end=end)
-            for verb, element, start, end in zip(*columns, strict=True)
-        ]
-
-
 def collate(rows: Sequence[Features]) -> Batch:
     """Pad and stack the features of B pages, B >= 1."""
     assert rows, "collate needs at least one page"
@@ -190,24 +172,6 @@ def collate(rows: Sequence[Features]) -> Batch:
         arrays["clickable"][b, :e] = row.clickable
         arrays["typable"][b, :e] = row.typable
     return Batch(**{name: torch.from_numpy(array) for name, array in arrays.items()})
-
-
-def collate_actions(actions: Sequence[Action]) -> ActionBatch:
-    """[B, 1] one action on each of B pages."""
-    verb, element, start, end = _table(actions).unsqueeze(2)
-    return ActionBatch(verb=verb, element=element, start=start, end=end)
-
-
-def collate_candidates(actions: Sequence[Action]) -> ActionBatch:
-    """[1, M] M candidate actions on one page."""
-    verb, element, start, end = _table(actions).unsqueeze(1)
-    return ActionBatch(verb=verb, element=element, start=start, end=end)
-
-
-def _table(actions: Sequence[Action]) -> Tensor:
-    """[4, B]: verb, element, start, end."""
-    table = np.array([(a.verb, a.element, a.start, a.end) for a in actions], dtype=np.int64).reshape(-1, 4)
-    return torch.from_numpy(table).T.contiguous()
 
 
 def without_overlap(batch: Batch) -> Batch:

@@ -12,12 +12,14 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from giirl_core.config import NetConfig
+from giirl_core.gestures import BASIC
 from giirl_core.nets import layout
+from giirl_core.nets.action_batch import ActionBatch
 from giirl_core.nets.language import PADDING, Vectors
-from giirl_core.types import LEARNABLE_VERBS, NO_SPAN, Verb
-from tests.giirl_core.nets.padded_features import ActionBatch, Batch, without_overlap
+from giirl_core.types import NO_SPAN, Verb
+from tests.giirl_core.nets.padded_features import Batch, without_overlap
 
-VERBS = len(LEARNABLE_VERBS)  # CLICK and TYPE, which have the numbers 0 and 1
+GESTURES = len(BASIC)  # to click and to type words, which have the numbers of CLICK and TYPE
 MASKED_LOGIT = -1e9  # of illegal or padded choices
 ADJACENT_PX = 4.0  # the distance at which the weight of an adjacent element falls to 1 / e
 VERTICAL_WEIGHT = 3.0  # a vertical pixel counts as this many horizontal ones
@@ -147,7 +149,7 @@ class PolicyNet(nn.Module):
         super().__init__()
         width = config.width
         self.encoder = Encoder(vectors, config)
-        self.pair_head = nn.Sequential(nn.Linear(2 * width, width), nn.ReLU(), nn.Linear(width, VERBS))
+        self.pair_head = nn.Sequential(nn.Linear(2 * width, width), nn.ReLU(), nn.Linear(width, GESTURES))
         self.start_query = nn.Linear(2 * width, width)
         self.end_query = nn.Linear(2 * width, width)
         self.value_head = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 1))
@@ -183,7 +185,7 @@ class PolicyNet(nn.Module):
         count = 1 if uniform is None else uniform.shape[1]
         pairs = _flatten(self._pair_logp(batch, encoding).unsqueeze(1).expand(-1, count, -1), flat)
         pair = _sample_categorical(pairs, parts[0])
-        verb, element = pair % VERBS, pair // VERBS
+        verb, element = pair % GESTURES, pair // GESTURES
         starts = _flatten(self._start_logp(batch, encoding, element), flat)
         start = _sample_categorical(starts, parts[1])
         ends = _flatten(self._end_logp(batch, encoding, element, start), flat)
@@ -192,7 +194,7 @@ class PolicyNet(nn.Module):
         logp = _at(pairs, pair) + torch.where(typing, _at(starts, start) + _at(ends, end), 0.0)
         none = torch.full_like(start, NO_SPAN)
         actions = ActionBatch(
-            verb=verb,
+            gesture=verb,
             element=element,
             start=torch.where(typing, start, none),
             end=torch.where(typing, end, none),
@@ -206,11 +208,11 @@ class PolicyNet(nn.Module):
         """
         encoding: Encoding = self.encoder(batch)
         pairs = self._pair_logp(batch, encoding)
-        typing = actions.verb == Verb.TYPE
+        typing = actions.gesture == Verb.TYPE
         start, end = actions.start.clamp(min=0), actions.end.clamp(min=0)
         starts = self._start_logp(batch, encoding, actions.element)
         ends = self._end_logp(batch, encoding, actions.element, start)
-        logp = pairs.gather(1, actions.element * VERBS + actions.verb)
+        logp = pairs.gather(1, actions.element * GESTURES + actions.gesture)
         logp = logp + torch.where(typing, _at(starts, start) + _at(ends, end), 0.0)
         span_entropy = torch.where(typing[:, 0], _entropy(starts[:, 0]) + _entropy(ends[:, 0]), 0.0)
         value: Tensor = self.value_head(encoding.summary).squeeze(1)
@@ -230,7 +232,7 @@ class RewardNet(nn.Module):
         super().__init__()
         width = config.width
         self.encoder = Encoder(vectors, config)
-        self.verb = nn.Embedding(VERBS, 16)
+        self.gesture = nn.Embedding(GESTURES, 16)
         self.absent = nn.Parameter(torch.zeros(2, width))  # nothing is typed; the goal lacks the typed text
         self.head = nn.Sequential(nn.Linear(4 * width + 16, width), nn.ReLU(), nn.Linear(width, 1))
 
@@ -244,14 +246,14 @@ class RewardNet(nn.Module):
         encoding: Encoding = self.encoder(batch)
         first = _pick(encoding.tokens, actions.start.clamp(min=0))
         last = _pick(encoding.tokens, actions.end.clamp(min=0))
-        absent = self.absent[(actions.verb == Verb.TYPE).long()]
+        absent = self.absent[(actions.gesture == Verb.TYPE).long()]
         in_goal = (actions.start >= 0).unsqueeze(2)
         parts = [
             _pick(encoding.elements, actions.element),
             encoding.summary.unsqueeze(1).expand_as(first),
             torch.where(in_goal, first, absent),
             torch.where(in_goal, last, absent),
-            self.verb(actions.verb),
+            self.gesture(actions.gesture),
         ]
         return torch.cat(parts, dim=2)
 

@@ -10,14 +10,13 @@ import torch
 from torch import Tensor, nn
 
 from giirl_core.config import NetConfig
-from giirl_core.nets.action_batch import collate_actions
 from giirl_core.nets.batch import Batch, collate
 from giirl_core.nets.features import featurise
 from giirl_core.nets.layout import ELEMENT_WORDS, TEXT_RUN, TEXT_WORD, VALUE_RUN
 from giirl_core.nets.models import PolicyNet, RewardNet
 from giirl_core.types import Action, Goal, Page, Verb
 from tests.giirl_core.nets import padded_features, padded_nets
-from tests.learner.samples import dense_matches, legal_actions, page, vectors
+from tests.learner.samples import collate_actions, dense_matches, legal_actions, page, vectors
 
 WORDS = ("Ok", "ok", "Cancel", "Ada", "Lovelace", "next", "word", "Qwxzz", "12", "!")
 TAGS = ("button", "div", "span", "input_text", "input_checkbox", "textarea", "a", "t")
@@ -90,7 +89,7 @@ def test_losses_and_gradients_equal_those_of_the_padded_reference(
     table = padded_features.collate([padded_features.dense(featurise(p, g, vectors()), p) for p, g, _ in steps])
     batch = collate([featurise(p, g, vectors()) for p, g, _ in steps]).to(torch.device(device))
     actions = [action for *_, action in steps]
-    padded, flat = padded_features.collate_actions(actions), collate_actions(actions).to(torch.device(device))
+    padded, flat = collate_actions(actions), collate_actions(actions).to(torch.device(device))
     torch.manual_seed(0)
     slow_policy, slow_reward = padded_nets.PolicyNet(vectors(), config), padded_nets.RewardNet(vectors(), config)
     policy, reward = PolicyNet(vectors(), config).to(device), RewardNet(vectors(), config).to(device)

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from giirl_core.nets.action_batch import ActionBatch, collate_actions
+from giirl_core.nets.action_batch import ActionBatch
 from giirl_core.nets.augment import rename
 from giirl_core.nets.batch import Batch, collate
 from giirl_core.nets.features import Features, featurise
@@ -23,6 +23,7 @@ from tests.learner.samples import (
     CASES,
     FLAT,
     batch_of,
+    collate_actions,
     dense_matches,
     legal_actions,
     page,

@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from giirl_core.choices import Choice
 from giirl_core.config import NetConfig
-from giirl_core.nets.action_batch import ActionBatch, collate_actions, join, random_actions, random_logp
+from giirl_core.gestures import BASIC
+from giirl_core.nets.action_batch import ActionBatch, collate_candidates, join, random_actions, random_logp
 from giirl_core.nets.batch import Batch
 from giirl_core.nets.encoder import adjacency
 from giirl_core.nets.models import PolicyNet
 from giirl_core.types import Action, Goal, Page, Verb
-from tests.learner.samples import CASES, LONG, SHORT, batch_of, legal_actions, on_one_page, page, policy, vectors
+from tests.learner.samples import (
+    CASES,
+    LONG,
+    SHORT,
+    batch_of,
+    choice,
+    collate_actions,
+    legal_actions,
+    on_one_page,
+    page,
+    policy,
+    vectors,
+)
 
 IDS = ["long", "short", "flat"]
 
@@ -32,7 +46,7 @@ def net() -> PolicyNet:
 
 def sample(net: PolicyNet, batch: Batch, uniform: Tensor, *, random: bool) -> ActionBatch:
     """Actions of the random policy if `random`, else of the net."""
-    return random_actions(batch, uniform) if random else net.sample(net.encoder(batch), uniform)[0]
+    return random_actions(batch, uniform, BASIC) if random else net.sample(net.encoder(batch), uniform)[0]
 
 
 def uniform(pages: int, count: int, seed: int = 0) -> Tensor:
@@ -66,8 +80,7 @@ def test_the_entropy_of_the_pair_equals_its_sum_over_all_pairs(case: tuple[Page,
     ],
 )
 def test_an_illegal_action_has_probability_zero(action: tuple[int, ...], net: PolicyNet) -> None:
-    verb, element, start, end = torch.tensor(action).view(4, 1, 1)
-    chosen = ActionBatch(verb=verb, element=element, start=start, end=end)
+    chosen = collate_candidates([Choice(*action)])
     logp, _ = net.evaluate(net.encoder(batch_of((LONG, CASES[0][1]))), chosen)
     assert logp.exp().item() == 0.0
 
@@ -76,27 +89,26 @@ def test_an_illegal_action_has_probability_zero(action: tuple[int, ...], net: Po
 def test_sampled_actions_are_legal(random: bool, net: PolicyNet) -> None:
     actions = sample(net, batch_of(*CASES), uniform(3, 200), random=random)
     for b, case in enumerate(CASES):
-        legal = set(legal_actions(*case))
+        legal = set(map(choice, legal_actions(*case)))
         for m in range(200):
-            parts = (int(part[b, m]) for part in (actions.verb, actions.element, actions.start, actions.end))
-            verb, element, start, end = parts
-            assert Action(verb=Verb(verb), element=element, start=start, end=end) in legal
+            assert Choice(*actions.table()[b, m].tolist()) in legal
 
 
 @pytest.mark.parametrize("uniform", [0.0, 1.0 - 2.0**-24])
 def test_the_smallest_and_largest_random_numbers_give_legal_actions(uniform: float, net: PolicyNet) -> None:
     batch = batch_of((LONG, CASES[0][1]))
     actions, logp = net.sample(net.encoder(batch), torch.full((1, 1, 3), uniform))
-    assert actions.first()[0] in legal_actions(*CASES[0])
+    legal = set(map(choice, legal_actions(*CASES[0])))
+    assert actions.first()[0] in legal
     assert logp.item() > -100
-    assert random_actions(batch, torch.full((1, 1, 3), uniform)).first()[0] in legal_actions(*CASES[0])
+    assert random_actions(batch, torch.full((1, 1, 3), uniform), BASIC).first()[0] in legal
 
 
 def test_sampling_and_evaluation_give_the_same_log_probabilities(net: PolicyNet) -> None:
     encoding = net.encoder(batch_of(*CASES))
     actions, logp = net.sample(encoding, uniform(3, 50))
     assert torch.allclose(logp, net.evaluate(encoding, actions)[0], atol=1e-5)
-    assert {0, 1} <= set(actions.verb.flatten().tolist())
+    assert {0, 1} <= set(actions.gesture.flatten().tolist())
 
 
 @pytest.mark.parametrize("random", [False, True])
@@ -107,9 +119,9 @@ def test_sampling_frequencies_equal_the_probabilities(random: bool, net: PolicyN
     generator = torch.Generator().manual_seed(0)
     numbers = torch.stack([grid[torch.randperm(count, generator=generator)] for _ in range(3)], dim=1).unsqueeze(0)
     found, every = sample(net, batch, numbers, random=random), on_one_page(actions)
-    logp = random_logp(batch, every) if random else net.evaluate(net.encoder(batch), every)[0]
+    logp = random_logp(batch, every, BASIC) if random else net.evaluate(net.encoder(batch), every)[0]
     for action, p in zip(actions, logp[0].exp().tolist(), strict=True):
-        same = (found.verb == action.verb) & (found.element == action.element)
+        same = (found.gesture == action.verb) & (found.element == action.element)
         same &= (found.start == action.start) & (found.end == action.end)
         assert same.float().mean().item() == pytest.approx(p, abs=4 * (p * (1 - p) / count) ** 0.5 + 1e-3)
 
@@ -131,19 +143,18 @@ def test_the_greedy_action_is_the_most_probable_pair_with_the_most_probable_word
 
     greedy = net.sample(net.encoder(batch_of(case)), None)[0].first()[0]
     best = max(actions, key=lambda a: total(a.verb, a.element))
-    assert (greedy.verb, greedy.element) == (best.verb, best.element)
+    assert (greedy.gesture, greedy.element) == (best.verb, best.element)
     same = [a for a in actions if (a.verb, a.element) == (best.verb, best.element)]
     start = max(same, key=lambda a: total(a.verb, a.element, a.start)).start
-    assert greedy == max((a for a in same if a.start == start), key=table.__getitem__)
+    assert greedy == choice(max((a for a in same if a.start == start), key=table.__getitem__))
 
 
 @pytest.mark.parametrize("case", CASES, ids=IDS)
 def test_the_probabilities_of_the_random_policy_sum_to_one(case: tuple[Page, Goal]) -> None:
     batch = batch_of(case, *CASES)  # with padding, which must not count
     actions = on_one_page(legal_actions(*case))
-    rows = [getattr(actions, name).expand(len(batch), -1) for name in ("verb", "element", "start", "end")]
-    verb, element, start, end = rows
-    logp = random_logp(batch, ActionBatch(verb=verb, element=element, start=start, end=end))[0]
+    rows = {f.name: getattr(actions, f.name).expand(len(batch), -1) for f in fields(actions)}
+    logp = random_logp(batch, ActionBatch(**rows), BASIC)[0]
     assert logp.exp().sum().item() == pytest.approx(1.0, abs=1e-5)
 
 
@@ -151,7 +162,7 @@ def test_join_keeps_the_order_of_its_arguments() -> None:
     taken = collate_actions([Action(verb=Verb.TYPE, element=3, start=1, end=2)])
     both = join(taken, on_one_page([Action(verb=Verb.CLICK, element=1), Action(verb=Verb.CLICK, element=2)]))
     assert both.element.tolist() == [[3, 1, 2]]
-    assert both.verb.tolist() == [[1, 0, 0]]
+    assert both.gesture.tolist() == [[1, 0, 0]]
     assert both.start.tolist() == [[1, -1, -1]]
     assert both.first() == taken.first()
 
