@@ -1,9 +1,9 @@
-"""Agents that choose actions on pages: the policy net, the scripted experts, and the random policy."""
+"""Agents that choose actions on pages: the policy net, scripted experts, blind replay, and the random policy."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -18,7 +18,17 @@ from giirl_core.nets.features import featurise
 from giirl_core.nets.language import Vectors
 from giirl_core.nets.models import PolicyNet
 from giirl_core.nets.parameters import load_net
-from giirl_core.types import DEMONSTRATION, Action, Observation, Verb
+from giirl_core.types import (
+    DEMONSTRATION,
+    NO_SPAN,
+    Action,
+    EpisodeSpec,
+    Goal,
+    Observation,
+    Page,
+    Trajectory,
+    Verb,
+)
 from giirl_core.weights import Weights
 
 
@@ -127,6 +137,67 @@ class ExpertAgent:
             return self._expert_for(observation.episode.task)(observation)
         except NoAction:
             return Action(verb=Verb.WAIT)
+
+
+class ReplayAgent:
+    """Blind replay: repeats the demonstration of the same task whose instruction is nearest, then waits.
+
+    Nearest is the one that shares the largest part of its words (Jaccard). Each action goes to the element that is most
+    like that of the demonstration. Typed text is that of the demonstration, whatever the new instruction says.
+    """
+
+    draws = 1
+
+    def __init__(self, demonstrations: Sequence[Trajectory]) -> None:
+        self._demonstrations = demonstrations
+        self._begun: dict[EpisodeSpec, tuple[Page, Trajectory]] = {}  # first page, and what is repeated
+        self._steps: dict[EpisodeSpec, int] = {}
+
+    def select_actions(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]:
+        return [Decision(self._act(observation), 0.0, DEMONSTRATION) for observation in observations]
+
+    def _act(self, observation: Observation) -> Action:
+        spec, page = observation.episode, observation.page
+        if spec not in self._begun or self._begun[spec][0] == page:  # an episode that was lost begins again
+            self._begun[spec], self._steps[spec] = (page, self._nearest(observation)), 0
+        demonstration, t = self._begun[spec][1], self._steps[spec]
+        self._steps[spec] = t + 1
+        if t >= len(demonstration):
+            return Action(verb=Verb.WAIT)
+        action, then = demonstration.actions[t], demonstration.pages[t]
+        changes: dict[str, object] = {}
+        if action.start != NO_SPAN:
+            changes = {"start": NO_SPAN, "end": NO_SPAN, "literal": action.text(demonstration.goal)}
+        if action.to >= 0:
+            changes["to"] = _most_alike(page, then, action.to)
+        if action.element >= 0:
+            changes["element"] = _most_alike(page, then, action.element)
+        return replace(action, **changes)  # type: ignore[arg-type]
+
+    def _nearest(self, observation: Observation) -> Trajectory:
+        """ValueError for a task without demonstrations."""
+        task, words = observation.episode.task, _words(observation.goal)
+        own = [one for one in self._demonstrations if one.task == task]
+        if not own:
+            raise ValueError(f"there is no demonstration of {task!r} to replay")
+        return max(own, key=lambda one: len(words & _words(one.goal)) / len(words | _words(one.goal)))
+
+
+def _words(goal: Goal) -> set[str]:
+    return {token.lower() for token in goal.tokens}
+
+
+def _most_alike(page: Page, then: Page, row: int) -> int:
+    """The element of `page` that is most like that in `row` of an earlier page: text, kind, attributes, place."""
+
+    def likeness(other: int) -> tuple[int, int]:
+        same = sum(
+            weight * (getattr(page, name)[other] == getattr(then, name)[row])
+            for name, weight in (("text", 4), ("attributes", 2), ("tag", 2), ("classes", 1))
+        )
+        return same, -abs(other - row)
+
+    return max(range(len(page)), key=likeness)
 
 
 class RandomAgent:

@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from actors.agents import Agent, ExpertAgent, FurtherAttempt, PolicyAgent, RandomAgent
+from actors.agents import Agent, ExpertAgent, FurtherAttempt, PolicyAgent, RandomAgent, ReplayAgent
 from actors.browser import open_browser
 from actors.rollouts import play_pages
 from browser_farm.mixed import expert_of
@@ -17,7 +17,7 @@ from giirl_core.nets.language import load_vectors
 from giirl_core.nets.parameters import load_net
 from giirl_core.nets.reward import build_policy
 from giirl_core.progress import Job
-from giirl_core.types import Browser, Episode, Purpose
+from giirl_core.types import Browser, Episode, Purpose, Trajectory
 from giirl_core.weights import Weights
 
 
@@ -25,8 +25,9 @@ from giirl_core.weights import Weights
 class AgentSpec:
     """Which agent plays. It can be sent to another process."""
 
-    kind: Literal["expert", "random", "greedy", "sampling"]
+    kind: Literal["expert", "random", "greedy", "sampling", "replay"]
     policy: Weights | None = None  # of a greedy or sampling policy
+    demonstrations: tuple[Trajectory, ...] = ()  # that a replay repeats
     attempt: int = 0  # of a sampling policy at the same pages: each attempt uses other random numbers
 
 
@@ -59,6 +60,8 @@ def build_agent(spec: AgentSpec, config: Config) -> Agent:
         return ExpertAgent(expert_of)
     if spec.kind == "random":
         return RandomAgent()
+    if spec.kind == "replay":
+        return ReplayAgent(spec.demonstrations)
     assert spec.policy is not None
     net = build_policy(config)
     load_net(net, spec.policy)

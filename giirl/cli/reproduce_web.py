@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from giirl.cli.options import DEMOS, JSON, OutputFolder, save_and_show, seeds
-from giirl.studies.web import CLONING, STUDIES, Study, base_settings
+from giirl.studies.web import STUDIES, Study, base_settings
 from giirl_core.files import explain, folder_lock, writable
 from giirl_core.progress import Display
 
@@ -109,7 +109,7 @@ def _reproduce(
     if alone:
         result["wall_seconds"] = round(time.monotonic() - since_s, 1)
     if study.compares_published:
-        head = fifty_two(result, study.variants[0].name, CLONING.name)
+        head = fifty_two(result, study.variants[0].name, study.variants[1].name)
         result, table = {**result, **head}, fifty_two_table(study.title, head, result)
     else:
         table = study_table(study.title, result)

@@ -13,7 +13,7 @@ from giirl.statistics import Score, missing_pages, percent
 from giirl_core.config import Config
 from giirl_core.metrics import Metrics
 from giirl_core.progress import Display
-from giirl_core.types import Episode, Purpose, is_held_out
+from giirl_core.types import Episode, Purpose, Trajectory, is_held_out
 from giirl_core.weights import Weights
 
 THESIS = {"click-test": 1.00, "click-test-2": 1.00, "click-button": 0.99, "enter-text": 0.94}  # table 4.1
@@ -25,9 +25,11 @@ def evaluate(
     metrics: Metrics,
     display: Display,
     open_player: OpenPlayer = open_browser_player,
+    demonstrations: Sequence[Trajectory] = (),
 ) -> dict[str, Any]:
     """Success of the greedy policy and of the random baseline: the `tasks` of a result, one row per task.
 
+    With `evaluate.agent=replay` it is success of blind replay of `demonstrations` instead.
     The pages have seeds that training, demonstrations and tuning never use. An episode that a broken browser or page
     has ended is played again; pages on which that happens each time are `missing`.
     Task files that do not say what success is have no row.
@@ -38,10 +40,12 @@ def evaluate(
     if not measured:
         return {}
     greedy, random = AgentSpec(kind="greedy", policy=policy), AgentSpec(kind="random")
+    replay = AgentSpec(kind="replay", demonstrations=tuple(demonstrations))
+    measured_agent = greedy if config.evaluate.agent == "policy" else replay
     pages, random_pages, tasks = config.evaluate.episodes, config.evaluate.random_episodes, len(measured)
     with open_player(config, metrics) as player:
         with display.job("evaluating", pages * tasks) as job:
-            played = player.play(greedy, Purpose.EVALUATE, pages, tasks=measured, job=job)
+            played = player.play(measured_agent, Purpose.EVALUATE, pages, tasks=measured, job=job)
         with display.job("random baseline", random_pages * tasks) as job:
             at_random = player.play(random, Purpose.RANDOM, random_pages, tasks=measured, job=job)
     return {task: _row(config, task, played, at_random) for task in measured}

@@ -77,7 +77,7 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
             session.learn(resume)
         policy, _ = learner.weights()
         metrics.enter("evaluation")
-        tasks = evaluate(config, policy, metrics, display, open_player)
+        tasks = evaluate(config, policy, metrics, display, open_player, demonstrations)
     finally:
         metrics.close()
     return {

@@ -60,8 +60,15 @@ class Web:
         from giirl_core.metrics import Metrics
 
         points = folder.points()
+        replayed = folder.load_demonstrations() if config.evaluate.agent == "replay" else []
         return {
-            "tasks": evaluate(config, folder.weights(checkpoint, "policy"), Metrics(), display),
+            "tasks": evaluate(
+                config,
+                folder.weights(checkpoint, "policy"),
+                Metrics(),
+                display,
+                demonstrations=[episode.trajectory for episode in replayed],
+            ),
             "env_steps": points[-1]["env_steps"] if points else 0,
             "algorithm": config.algorithm,
             "seed": config.seed,

@@ -124,6 +124,18 @@ FIFTY_TWO = (
     Variant(name=CLONING.name, changes=(*CLONING.changes, "iterations=300")),
     Variant(name="giirl from nothing"),
     Variant(name="true reward from the clone", changes=("algorithm=true_reward", *FROM_CLONE, "policy.entropy=0.006")),
+    Variant(name="blind replay", changes=(*CLONING.changes, "iterations=1", "evaluate.agent=replay")),
+)
+FIFTY_TWO_FEW = tuple(
+    Variant(name=f"{variant.name}, {budget}", changes=(*variant.changes, f"demos.per_task={budget}"))
+    for budget in (8, 4, 16)
+    for variant in FIFTY_TWO[:2]
+)
+FIFTY_TWO_SETTINGS = (
+    f"tasks={json.dumps(fifty_two.TASKS)}",
+    f"demos.scripted_tasks={json.dumps(fifty_two.SCRIPTED)}",
+    "step_limit=25",
+    "evaluate.random_episodes=50",
 )
 
 
@@ -138,7 +150,7 @@ class Study:
     curves: bool = False  # draw success against environment steps
     evaluates_reward: bool = False  # measure whether each learned reward depends on the goal
     tuning: bool = False  # used to choose settings, on the seeds for tuning
-    compares_published: bool = False  # of fifty-two tasks; the first variant is compared
+    compares_published: bool = False  # of fifty-two tasks: the first variant, beside the second, which is cloning
 
 
 def _budgets() -> tuple[Variant, ...]:
@@ -225,12 +237,13 @@ STUDIES = {
     "fifty-two": Study(
         title="Fifty-two tasks, one policy and one reward",
         variants=FIFTY_TWO,
-        settings=(
-            f"tasks={json.dumps(fifty_two.TASKS)}",
-            f"demos.scripted_tasks={json.dumps(fifty_two.SCRIPTED)}",
-            "step_limit=25",
-            "evaluate.random_episodes=50",
-        ),
+        settings=FIFTY_TWO_SETTINGS,
+        compares_published=True,
+    ),
+    "fifty-two-few": Study(
+        title="Fifty-two tasks from few demonstrations",
+        variants=FIFTY_TWO_FEW,
+        settings=FIFTY_TWO_SETTINGS,
         compares_published=True,
     ),
     "nets": Study(title="Ablations of the nets, in policy and reward alike", variants=NETS, evaluates_reward=True),

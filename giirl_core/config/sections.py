@@ -121,6 +121,9 @@ class EvaluateConfig:
     """Fresh pages of each task for the greedy policy. [episodes]"""
     random_episodes: Positive = 200
     """Fresh pages of each task for the random baseline. [episodes]"""
+    agent: Literal["policy", "replay"] = "policy"
+    """Who plays: the greedy policy, or, as a baseline, blind replay of the demonstration with the nearest
+    instruction."""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)

@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from actors.agents import ExpertAgent, PolicyAgent, RandomAgent
+from actors.agents import ExpertAgent, PolicyAgent, RandomAgent, ReplayAgent
 from browser_farm.experts import expert
 from browser_farm.fake import FakeFarm
 from giirl_core.nets.parameters import serialise_net
@@ -15,6 +15,7 @@ from giirl_core.types import (
     EpisodeSpec,
     Goal,
     Observation,
+    Verb,
 )
 from tests.actors.test_rollouts import episodes
 from tests.learner.samples import SHORT, legal_actions, policy, vectors
@@ -80,3 +81,28 @@ def test_a_training_agent_samples_actions_for_every_step_and_a_greedy_one_none()
         assert scored.sampled.rewards[0].tolist() == [1, 2, 3, 4, 5, 6]
     greedy = episodes(FakeFarm(tabs=4), PolicyAgent(policy(), vectors(), greedy=True), 1)
     assert all(finished.trajectory.sampled is None for finished in greedy)
+
+
+def test_blind_replay_repeats_the_demonstration_with_the_nearest_instruction() -> None:
+    shown = [finished.trajectory for finished in episodes(FakeFarm(tabs=4), ExpertAgent(expert), 30)]
+    same = episodes(FakeFarm(tabs=4), ReplayAgent(shown), 30)
+    assert sum(finished.outcome.success for finished in same) > 0.8 * len(same)
+    few = [next(one for one in shown if one.task == task) for task in {one.task for one in shown}]
+    won: Counter[str] = Counter()
+    for finished in episodes(FakeFarm(tabs=4), ReplayAgent(few), 30):
+        won[finished.trajectory.task] += finished.outcome.success
+    assert won["click-test"] == 30
+    assert won["enter-text"] < 5  # it types the name of its only demonstration
+    with pytest.raises(ValueError, match="there is no demonstration of 'click-test' to replay"):
+        episodes(FakeFarm(tabs=1), ReplayAgent([]), 1)
+
+
+def test_a_replay_that_is_lost_begins_again() -> None:
+    farm = FakeFarm(tabs=1)
+    (first,) = farm.reset({0: EpisodeSpec(task="enter-text", seed=1)}).values()
+    demonstration = episodes(farm, ExpertAgent(expert), 1)
+    agent = ReplayAgent([one.trajectory for one in demonstration])
+    uniform = np.zeros((1, 1, 3), dtype=np.float32)
+    once, again = (agent.select_actions([first], uniform)[0].action for _ in range(2))
+    assert once == again
+    assert once.verb is Verb.TYPE
