@@ -34,6 +34,11 @@ GRID_COMMANDS = {
     "gridcraft-joint": GridCommand(
         help="Many layouts and goals at once, and the transfer to unseen layouts and goals.", seeds=JOINT_SEEDS
     ),
+    "gridcraft-maxent": GridCommand(
+        help="The joint study's setting with maximum-entropy inverse reinforcement learning, which knows the dynamics.",
+        seeds=JOINT_SEEDS,
+        draws_figure=False,
+    ),
     "gridcraft-ablations": GridCommand(
         help="Each part of the method left out, and a shaped reward compared with the sparse one.",
         seeds=ABLATION_SEEDS,

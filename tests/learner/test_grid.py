@@ -19,6 +19,7 @@ from gridcraft.layouts import Layout, named_layout
 from gridcraft.planning import normalized_return, random_policy, solve
 from gridcraft.world import ACTIONS, HORIZON, build_world, observations, true_reward
 from learner.grid.learner import GridLearner, GridSoftQ, RewardFn, soft_target
+from learner.grid.maxent import MaxEnt
 from learner.grid.nets import GridFeatures, one_hot, policy_table, reward_table
 from learner.grid.steps import GridDemos, Steps, expert_steps
 
@@ -260,3 +261,15 @@ def test_q_learning_relabels_steps_with_every_sentence() -> None:
     rollouts = learner.demos.sample(4).with_goals(np.zeros(4 * HORIZON, dtype=np.int64))
     grid_policy(learner, reward_fn).update(rollouts, torch.zeros(len(rollouts)))
     assert set(scored[0].goal.tolist()) == set(range(len(PAIRS)))
+
+
+def test_maximum_entropy_learns_a_reward_whose_optimum_is_that_of_the_expert() -> None:
+    config = with_grid(demonstrations=20)
+    learner = GridLearner(config, WORLD, PAIRS)
+    torch.manual_seed(0)
+    baseline = MaxEnt(WORLD, learner.features, learner.demos.steps, width=32)
+    distances = [baseline.update(0.01)["distance"] for _ in range(60)]
+    assert distances[-1] < 0.4 * distances[0]
+    for i, pair in enumerate(PAIRS):
+        agent = solve(WORLD, reward_table(baseline.net, learner.features, i, "logit", 1e9)).pi
+        assert normalized_return(WORLD, agent, true_reward(WORLD, pair)) > 0.9
