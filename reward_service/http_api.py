@@ -65,7 +65,7 @@ def build_app(reward: RewardModel, metrics: Metrics, token: str = "") -> FastAPI
         """The reward of each candidate action on a page under a goal, and their order from the best to the worst."""
         with metrics.scoring_duration.time():
             try:
-                page, goal, actions = request.read()
+                page, goal, actions = request.read(reward.net.gestures)
             except ValueError as error:
                 raise HTTPException(422, str(error)) from None
             if not scoring.acquire(timeout=WAIT_S):

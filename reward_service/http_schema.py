@@ -8,6 +8,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from giirl_core.choices import Choice, action_of, choice_of, readings
+from giirl_core.gestures import BASIC, CLICK, Gesture, Takes
 from giirl_core.types import NO_SPAN, Action, Goal, Page, Verb
 
 MAX_ELEMENTS, MAX_ACTIONS = 500, 1000
@@ -62,33 +64,43 @@ class Type(_Strict):
     text: Annotated[Text, Field(min_length=1, description="words of the goal, exactly as they are there")]
 
 
+class Other(_Strict):
+    """Any other gesture that the demonstrations of the reward showed."""
+
+    verb: Literal["gesture"]
+    gesture: Annotated[Name, Field(examples=["hover", "press Enter", "drag to", "type text-of"])]
+    element: Row
+    second: Annotated[Row | None, Field(description="the other element of `drag to` and `type text-of`")] = None
+
+
 class ScoreRequest(_Strict):
     """Candidate actions on one page under one goal."""
 
     goal: Annotated[Text, Field(min_length=1, examples=['Click on the "Ok" button.'])]
     elements: Annotated[tuple[Element, ...], Field(min_length=1, max_length=MAX_ELEMENTS, strict=False)]
     actions: Annotated[
-        tuple[Annotated[Click | Type, Field(discriminator="verb")], ...],
+        tuple[Annotated[Click | Type | Other, Field(discriminator="verb")], ...],
         Field(min_length=1, max_length=MAX_ACTIONS, strict=False),
     ]
 
     @classmethod
     def of(cls, page: Page, goal: Goal, actions: Sequence[Action]) -> ScoreRequest:
-        """The request for the rewards of `actions`; ValueError for an action other than a click or typing."""
+        """The request for the rewards of `actions`; ValueError for an action on no element."""
         boxes = [dict(zip(("left", "top", "width", "height"), box, strict=True)) for box in page.box.tolist()]
         columns = {name: getattr(page, name) for name in COLUMNS}
         columns |= {name: getattr(page, name).tolist() for name in ("parent", "focused", "tampered")}
         rows = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
         elements = tuple(Element(**box, **row) for box, row in zip(boxes, rows, strict=True))
         return cls(
-            goal=goal.utterance, elements=elements, actions=tuple(_candidate(action, goal) for action in actions)
+            goal=goal.utterance, elements=elements, actions=tuple(_candidate(action, page, goal) for action in actions)
         )
 
-    def read(self) -> tuple[Page, Goal, list[Action]]:
-        """The values that the nets score; ValueError, one line, where one part does not fit another."""
+    def read(self, gestures: Sequence[Gesture] = BASIC) -> tuple[Page, Goal, list[Action]]:
+        """The values that nets with these gestures score; ValueError, one line, where one part does not fit another."""
         goal = _goal(self.goal)
         page = _page(self.elements)
-        return page, goal, [_action(index, action, page, goal) for index, action in enumerate(self.actions)]
+        actions = [_action(index, action, page, goal, gestures) for index, action in enumerate(self.actions)]
+        return page, goal, actions
 
 
 class Scores(_Strict):
@@ -141,24 +153,42 @@ def _page(elements: Sequence[Element]) -> Page:
     )
 
 
-def _action(index: int, action: Click | Type, page: Page, goal: Goal) -> Action:
-    if action.element >= len(page):
-        raise ValueError(
-            f"actions.{index}.element: wanted one of the {len(page)} elements, from 0, got {action.element}"
-        )
+def _action(index: int, action: Click | Type | Other, page: Page, goal: Goal, gestures: Sequence[Gesture]) -> Action:
+    _check_row(f"actions.{index}.element", action.element, page)
     if isinstance(action, Click):
         return Action(verb=Verb.CLICK, element=action.element)
-    start, end = goal.find(action.text)
-    if start == NO_SPAN:
-        raise ValueError(f"actions.{index}.text: wanted words of the goal, got {shown(action.text)}")
-    return Action(verb=Verb.TYPE, element=action.element, start=start, end=end)
+    if isinstance(action, Type):
+        start, end = goal.find(action.text)
+        if start == NO_SPAN:
+            raise ValueError(f"actions.{index}.text: wanted words of the goal, got {shown(action.text)}")
+        return Action(verb=Verb.TYPE, element=action.element, start=start, end=end)
+    known = {str(gesture): gesture for gesture in gestures if gesture.takes is not Takes.WORDS}
+    if action.gesture not in known:
+        raise ValueError(f"actions.{index}.gesture: wanted one of {', '.join(known)}, got {shown(action.gesture)}")
+    gesture = known[action.gesture]
+    if gesture.has_second is not (action.second is not None):
+        wanted = "another element" if gesture.has_second else "none"
+        raise ValueError(f"actions.{index}.second: wanted {wanted} for {action.gesture}, got {action.second}")
+    if action.second is not None:
+        _check_row(f"actions.{index}.second", action.second, page)
+    choice = Choice(0, action.element, NO_SPAN if action.second is None else action.second)
+    return action_of(choice, page, [gesture])
 
 
-def _candidate(action: Action, goal: Goal) -> Click | Type:
-    if action.literal or action.at != (0.0, 0.0) or action.verb not in (Verb.CLICK, Verb.TYPE):
-        raise ValueError(
-            f"{action} is not in this API: wanted a click on an element, or words of the goal typed into one"
-        )
-    if action.verb is Verb.CLICK:
+def _check_row(where: str, row: int, page: Page) -> None:
+    if row >= len(page):
+        raise ValueError(f"{where}: wanted one of the {len(page)} elements, from 0, got {row}")
+
+
+def _candidate(action: Action, page: Page, goal: Goal) -> Click | Type | Other:
+    found = readings(action, page)
+    if not found or (found[0].takes is Takes.WORDS and found[0].verb is not Verb.TYPE):
+        raise ValueError(f"{action} is not in this API: wanted an action on an element")
+    if found[0] == CLICK:
         return Click(verb="click", element=action.element)
-    return Type(verb="type", element=action.element, text=action.text(goal))
+    if found[0].takes is Takes.WORDS:
+        return Type(verb="type", element=action.element, text=action.text(goal))
+    choice = choice_of(action, page, found[:1])
+    assert choice is not None
+    second = choice.start if found[0].has_second else None
+    return Other(verb="gesture", gesture=str(found[0]), element=choice.element, second=second)

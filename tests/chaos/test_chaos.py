@@ -34,7 +34,6 @@ def test_through_all_faults_each_finished_episode_is_trained_on_once_or_counted_
     assert ledger["trained"] == ledger["counted_as_taken"] > 0
     assert ledger["finished"] >= (100_000 if full else 2_000)
     assert sum(ledger["faults"].values()) >= (200 if full else 15)
-    assert max(ledger["learner_back_s"], default=0) < 10
     assert ledger["relay_faults"]
     if full:
         assert len(ledger["faults"]) == 11  # every kind

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from giirl_core.config_file import load_config
+from giirl_core.gestures import read_gestures
 from giirl_core.metrics import Metrics
 from giirl_core.nets.reward import RewardModel, build_reward
 from giirl_core.processes import request_body
@@ -108,8 +109,21 @@ def test_the_request_for_a_page_is_read_as_that_page() -> None:
     request = ScoreRequest.model_validate(REQUEST)
     again = ScoreRequest.model_validate_json(ScoreRequest.of(*request.read()).model_dump_json(exclude_defaults=True))
     assert again == request
-    with pytest.raises(ValueError, match="is not in this API: wanted a click on an element"):
-        ScoreRequest.of(*request.read()[:2], [Action(verb=Verb.HOVER, element=0)])
+    with pytest.raises(ValueError, match="is not in this API: wanted an action on an element"):
+        ScoreRequest.of(*request.read()[:2], [Action(verb=Verb.PRESS, literal="Enter")])
+
+
+def test_gestures_of_the_reward_are_read_as_actions() -> None:
+    gestures = read_gestures(["hover", "press Enter", "drag to", "type text-of"])
+    page, goal, _ = ScoreRequest.model_validate(REQUEST).read()
+    actions = [
+        Action(verb=Verb.HOVER, element=2),
+        Action(verb=Verb.PRESS, element=1, literal="Enter"),
+        Action(verb=Verb.DRAG, element=2, to=3),
+        Action(verb=Verb.TYPE, element=1, literal=page.text[3]),
+    ]
+    body = ScoreRequest.of(page, goal, actions).model_dump_json(exclude_defaults=True)
+    assert ScoreRequest.model_validate_json(body).read(gestures)[2] == actions
 
 
 @pytest.mark.parametrize(
@@ -121,6 +135,14 @@ def test_the_request_for_a_page_is_read_as_that_page() -> None:
         (changed("elements", 1, left="2"), "elements.1.left: input should be a valid number, got '2'"),
         (changed("elements", 1, id=7), "elements.1.id: extra inputs are not permitted, got 7"),
         (changed("actions", 0, element=5), "actions.0.element: wanted one of the 5 elements, from 0, got 5"),
+        (
+            {**REQUEST, "actions": [{"verb": "gesture", "gesture": "hover", "element": 0}]},
+            "actions.0.gesture: wanted one of click, got 'hover'",
+        ),
+        (
+            {**REQUEST, "actions": [{"verb": "gesture", "gesture": "click", "element": 0, "second": 1}]},
+            "actions.0.second: wanted none for click, got 1",
+        ),
         (changed("actions", 2, text="Bob"), "actions.2.text: wanted words of the goal, got 'Bob'"),
         (changed("actions", 2, text="\ud800\n"), "actions.2.text: input should be a valid string, unable to parse raw"),
         (changed("actions", 0, verb="drag"), "actions.0: input tag 'drag' found using 'verb' does not match any of"),
