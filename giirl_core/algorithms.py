@@ -41,6 +41,7 @@ ALGORITHMS: dict[str, AlgorithmSpec] = {
     "frozen": AlgorithmSpec(title="Frozen reward", reward="frozen", needs_demonstrations=False),
     "true_reward": AlgorithmSpec(title="True reward", reward="environment", needs_demonstrations=False),
     "sqil": AlgorithmSpec(title="SQIL", reward="none", needs_demonstrations=True),
+    "q_learning": AlgorithmSpec(title="Q-learning", reward="environment", needs_demonstrations=False),
     "iq_learn": AlgorithmSpec(title="IQ-Learn", reward="none", needs_demonstrations=True),
 }
 

@@ -55,6 +55,12 @@ def soft_q_imitation(
         observe(step, learner.soft_q.update(learner.demos.sample(config.soft_q.batch), rollouts))
 
 
+def q_learning(config: Config, learner: BaselineParts, source: Source, steps: Iterable[int], observe: Observe) -> None:
+    """Goal-conditioned Q-learning with prioritised replay on the page's own reward (DOM-Q-NET; Jia et al. 2019)."""
+    for step in steps:
+        observe(step, learner.soft_q.update([], learner.featurise(source.take(config.rollout_batch))))
+
+
 # The learner is Any, because it is the web learner or the grid learner, depending on the world.
 Loop: TypeAlias = Callable[[Config, Any, Source, Iterable[int], Observe], None]
 
@@ -65,4 +71,5 @@ LOOPS: dict[str, Loop] = {
     "true_reward": train_on_env_reward,
     "sqil": soft_q_imitation,
     "iq_learn": soft_q_imitation,
+    "q_learning": q_learning,
 }

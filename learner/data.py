@@ -19,6 +19,7 @@ from giirl_core.nets.features import Features, featurise
 from giirl_core.nets.language import Vectors
 from giirl_core.types import Episode, Goal, Trajectory, Verb
 
+PRIORITY_EXPONENT, IMPORTANCE_EXPONENT = 0.6, 0.4  # of prioritised replay
 WRONG_GOAL_CACHE = 4096  # expert pages under wrong goals whose features are cached
 
 
@@ -147,27 +148,42 @@ def _signature(trajectory: Trajectory, t: int) -> tuple[Verb, str, str]:
 class Replay:
     """The replay buffer: a uniform sample of `size` of all trajectories added (reservoir sampling, Vitter 1985).
 
-    `seen` is the number of trajectories added.
+    `seen` is the number of trajectories added. Those with higher `priorities` can be sampled more often; new ones begin
+    with the highest so far.
     """
 
     def __init__(self, size: int, rng: np.random.Generator) -> None:
         self.size, self._rng = size, rng
         self.examples: list[Example] = []
+        self.priorities: list[float] = []  # of each example
         self.seen = 0
 
     def add(self, examples: Sequence[Example]) -> None:
+        highest = max(self.priorities, default=1.0)
         for example in examples:
             self.seen += 1
             if len(self.examples) < self.size:
                 self.examples.append(example)
+                self.priorities.append(highest)
             elif (index := int(self._rng.integers(self.seen))) < self.size:
-                self.examples[index] = example
+                self.examples[index], self.priorities[index] = example, highest
 
     def sample(self, count: int) -> list[Example]:
         """`count` trajectories, sampled with replacement; none from an empty buffer."""
         if not self.examples:
             return []
         return [self.examples[i] for i in self._rng.integers(len(self.examples), size=count)]
+
+    def sample_by_priority(self, count: int) -> tuple[list[int], NDArray[np.float32]]:
+        """`count` indices of trajectories, sampled with replacement by their priorities, and their importance weights.
+
+        Prioritised experience replay (Schaul et al. 2016, eq. 1 and section 3.4); the largest weight is 1.
+        """
+        share = np.array(self.priorities) ** PRIORITY_EXPONENT
+        share /= share.sum()
+        chosen = self._rng.choice(len(share), size=count, p=share)
+        weights = (len(share) * share[chosen]) ** -IMPORTANCE_EXPONENT
+        return chosen.tolist(), (weights / weights.max()).astype(np.float32)
 
 
 def random_step(example: Example, rng: np.random.Generator) -> Step:

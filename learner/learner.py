@@ -134,6 +134,7 @@ class Learner:
         state = {
             "version": self.version,
             "replay_seen": self.replay.seen,
+            "replay_priorities": self.replay.priorities,
             "discriminator_accuracy": self.discriminator.accuracy,
             "rng": self._rng.bit_generator.state,
             "generator": bytes(self._generator.get_state().tolist()).hex(),
@@ -154,7 +155,7 @@ class Learner:
         for name, optimiser in self._optimisers().items():
             load_optimiser(optimiser, (folder / f"{name}_optimiser.safetensors").read_bytes())
         self.replay.examples = self.featurise([e.trajectory for e in read_episodes(folder / "replay.giirl")])
-        self.replay.seen = state["replay_seen"]
+        self.replay.seen, self.replay.priorities = state["replay_seen"], state["replay_priorities"]
         self.discriminator.accuracy = state["discriminator_accuracy"]
         self._rng.bit_generator.state = state["rng"]
         self._generator.set_state(torch.tensor(list(bytes.fromhex(state["generator"])), dtype=torch.uint8))

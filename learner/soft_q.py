@@ -1,4 +1,4 @@
-"""Imitation without a discriminator, as baselines: SQIL and IQ-Learn on the policy net."""
+"""Baselines on the policy net as a soft Q-function: SQIL, IQ-Learn, and Q-learning on the page's own reward."""
 
 from __future__ import annotations
 
@@ -17,14 +17,16 @@ from learner.actor_critic import copy_net, gradient_step
 from learner.data import Example, Replay, Step, collate_steps, steps_of
 from learner.losses import iq_loss, sqil_loss
 
-TARGET_RATE = 0.05  # of the moving average that is SQIL's target net
+TARGET_RATE = 0.05  # of the moving average that is the target net
+LEAST_PRIORITY = 0.01  # of a transition without error
 CHI = 0.5  # coefficient of IQ-Learn's chi-square regulariser; a larger one allows larger rewards
 
 
 class SoftQ:
-    """Soft Q-learning from demonstrations and rollouts, without rewards.
+    """Soft Q-learning: from demonstrations and rollouts without rewards, or from the page's own reward.
 
-    SQIL is from Reddy et al. (2020), IQ-Learn from Garg et al. (2021).
+    SQIL is from Reddy et al. (2020), IQ-Learn from Garg et al. (2021). `q_learning` is goal-conditioned Q-learning with
+    prioritised replay, after DOM-Q-NET (Jia et al. 2019); its rewards are those in the rollouts.
 
     Every soft Q-function has the form Q(s, a | g) = V(s | g) + alpha log pi(a | s, g), where V is its soft value and pi
     the policy that is optimal for it. The net of an actor-critic therefore also represents a soft Q-function. The value
@@ -34,7 +36,7 @@ class SoftQ:
     def __init__(
         self,
         config: SoftQConfig,
-        form: str,  # "sqil" or "iq_learn"
+        form: str,  # "sqil", "iq_learn" or "q_learning"
         net: PolicyNet,
         replay: Replay,
         rng: np.random.Generator,
@@ -45,11 +47,11 @@ class SoftQ:
         self.config, self.form, self.net, self.replay = config, form, net, replay
         self._rng, self._generator, self._metrics = rng, generator, metrics
         self.optimiser = torch.optim.Adam(net.parameters(), lr=config.learning_rate, fused=True)
-        # SQIL bootstraps from a slow copy of the net; IQ-Learn from the net itself. The word vectors are not copied.
-        self.target = copy_net(net) if form == "sqil" else net
+        # IQ-Learn bootstraps from the net itself, the others from a slow copy. The word vectors are not copied.
+        self.target = copy_net(net) if form in ("sqil", "q_learning") else net
 
     def update(self, expert: Sequence[Example], rollouts: Sequence[Example]) -> dict[str, float]:
-        """Add `rollouts` to the replay buffer, then train on steps of `expert` and of the buffer.
+        """Add `rollouts` to the replay buffer, then train on steps of `expert` (not in Q-learning) and of the buffer.
 
         Returns the statistics of the last gradient step.
         """
@@ -57,13 +59,48 @@ class SoftQ:
         stats: dict[str, float] = {}
         for _ in range(self.config.updates):
             with timed_update(self._metrics, "policy"):
-                stats = self._train_batch(expert, self.replay.sample(self.config.batch))
+                if self.form == "q_learning":
+                    stats = self._train_on_rewards()
+                else:
+                    stats = self._imitate(expert, self.replay.sample(self.config.batch))
         return stats
 
-    def _train_batch(self, expert: Sequence[Example], rollouts: Sequence[Example]) -> dict[str, float]:
+    def _train_on_rewards(self) -> dict[str, float]:
+        """One gradient step on the squared soft Bellman errors of prioritised transitions."""
+        chosen, weights = self.replay.sample_by_priority(self.config.batch)
+        implied_reward, _, entropy, rewards = self._implied([self.replay.examples[i] for i in chosen])
+        error = implied_reward - rewards
+        loss = (torch.from_numpy(weights).to(error.device) * error.pow(2)).mean()
+        self._step(loss)
+        for index, size in zip(chosen, error.detach().abs().tolist(), strict=True):
+            self.replay.priorities[index] = size + LEAST_PRIORITY
+        return {"p_loss": loss.item(), "p_entropy": entropy.mean().item(), "p_reward": rewards.mean().item()}
+
+    def _imitate(self, expert: Sequence[Example], rollouts: Sequence[Example]) -> dict[str, float]:
+        positives = [expert[i % len(expert)] for i in range(self.config.batch)]
+        implied_reward, value_drop, entropy, _ = self._implied([*positives, *rollouts])
+        on_expert, on_rollouts = implied_reward[: len(positives)], implied_reward[len(positives) :]
+        if self.form == "sqil":
+            loss = sqil_loss(on_expert, on_rollouts)
+        else:
+            loss = iq_loss(on_expert, on_rollouts, value_drop, CHI)
+        self._step(loss)
+        return {
+            "p_loss": loss.item(),
+            "p_entropy": entropy.mean().item(),
+            "p_implied_expert": on_expert.mean().item(),
+            "p_implied_rollouts": on_rollouts.mean().item(),
+        }
+
+    def _step(self, loss: Tensor) -> None:
+        gradient_step(self.optimiser, self.net, loss)
+        if self.target is not self.net:
+            self.update_target(TARGET_RATE)
+
+    def _implied(self, examples: Sequence[Example]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Of a random step of each example [B]: Q(s, a) - gamma V(s'), V(s) - gamma V(s'), entropy, stored reward."""
         config = self.config
-        positives = [expert[i % len(expert)] for i in range(config.batch)]
-        steps, next_steps = _transitions([*positives, *rollouts], self._rng)
+        steps, next_steps, rewards = _transitions(examples, self._rng)
         batch, actions = collate_steps(steps)
         next_batch = collate([(after or step).features for step, after in zip(steps, next_steps, strict=True)])
         if config.rename_prob:  # the same generator state twice: both pages of a transition get the same new words
@@ -79,21 +116,8 @@ class SoftQ:
         continues = torch.tensor([after is not None for after in next_steps], device=device)
         next_value = self._next_values(next_batch, continues)
         q = value + config.temperature * logp.squeeze(1)
-        implied_reward, value_drop = q - config.gamma * next_value, value - config.gamma * next_value
-        on_expert, on_rollouts = implied_reward[: len(positives)], implied_reward[len(positives) :]
-        if self.form == "sqil":
-            loss = sqil_loss(on_expert, on_rollouts)
-        else:
-            loss = iq_loss(on_expert, on_rollouts, value_drop, CHI)
-        gradient_step(self.optimiser, self.net, loss)
-        if self.target is not self.net:
-            self.update_target(TARGET_RATE)
-        return {
-            "p_loss": loss.item(),
-            "p_entropy": entropy.mean().item(),
-            "p_implied_expert": on_expert.mean().item(),
-            "p_implied_rollouts": on_rollouts.mean().item(),
-        }
+        stored = torch.tensor(rewards, device=device)
+        return q - config.gamma * next_value, value - config.gamma * next_value, entropy, stored
 
     @torch.no_grad()
     def update_target(self, rate: float) -> None:
@@ -106,13 +130,17 @@ class SoftQ:
             return torch.where(continues, self.target.state_value(self.target.encoder(next_batch)), 0.0)
 
 
-def _transitions(examples: Sequence[Example], rng: np.random.Generator) -> tuple[list[Step], list[Step | None]]:
-    """A uniformly random step of each example, and the step after it; None after the last step."""
+def _transitions(
+    examples: Sequence[Example], rng: np.random.Generator
+) -> tuple[list[Step], list[Step | None], list[float]]:
+    """A uniformly random step of each example, the step after it, None after the last one, and its stored reward."""
     current: list[Step] = []
     following: list[Step | None] = []
+    rewards: list[float] = []
     for example in examples:
         steps = steps_of([example])
         t = int(rng.integers(len(steps)))
         current.append(steps[t])
         following.append(steps[t + 1] if t + 1 < len(steps) else None)
-    return current, following
+        rewards.append(float(example.trajectory.rewards[t]))
+    return current, following, rewards

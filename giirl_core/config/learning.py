@@ -162,7 +162,7 @@ class CloningConfig:
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
 class SoftQConfig:
-    """SQIL and IQ-Learn: imitation without a discriminator, on the same policy net."""
+    """SQIL, IQ-Learn and Q-learning, on the same policy net."""
 
     learning_rate: PositiveFloat = 1e-3
     """Learning rate of the first iteration (Adam)."""
@@ -171,7 +171,7 @@ class SoftQConfig:
     updates: Positive = 4
     """Gradient updates per iteration. [updates]"""
     batch: Positive = 64
-    """Expert steps in one update, and as many of the policy's. [steps]"""
+    """Expert steps in one update (none in Q-learning), and as many of the policy's. [steps]"""
     gamma: Share = 0.9
     """Discount factor per step."""
     temperature: PositiveFloat = 0.1

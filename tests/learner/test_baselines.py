@@ -106,6 +106,26 @@ def test_soft_q_learning_imitates_the_expert_and_implies_a_higher_reward_for_it(
         assert stats["p_implied_rollouts"] == pytest.approx(0.0, abs=0.3)
 
 
+def test_q_learning_finds_the_action_with_the_highest_reward_and_samples_errors_more_often() -> None:
+    learner = make_soft_q("q_learning")
+    right = trajectory(GOAL, [SHORT], [RIGHT])
+    right = replace(right, rewards=np.ones(1, np.float32))
+    others = [a for a in legal_actions(SHORT, Goal(GOAL)) if a != RIGHT]
+    wrong = [trajectory(GOAL, [SHORT], [action]) for action in others]
+    rollouts = [featurise_trajectory(one, vectors()) for one in (right, *wrong)]
+    learner.update([], rollouts)
+    for _ in range(40):
+        learner.update([], [])
+    with torch.no_grad():
+        batch, actions = collate_steps(steps_of(rollouts))
+        logp, _ = learner.net.evaluate(learner.net.encoder(batch), actions)
+    assert int(logp.squeeze(1).argmax()) == 0
+    learner.replay.priorities = [1.0] + [0.01] * len(wrong)
+    chosen, weights = learner.replay.sample_by_priority(500)
+    assert chosen.count(0) > 200
+    assert weights[chosen.index(0)] == weights.min() < weights.max() == 1.0
+
+
 @pytest.mark.parametrize("form", ["sqil", "iq_learn"])
 def test_the_next_value_is_that_of_the_next_page_and_0_after_the_end(form: str) -> None:
     learner = make_soft_q(form)
@@ -189,6 +209,7 @@ class Recorder:
         ("cloning", ["expert(64)", "clone(expert)", "expert(64)", "clone(expert)"]),
         ("sqil", ["featurise(take)", "expert(64)", "soft_q(expert, featurise)"]),
         ("iq_learn", ["featurise(take)", "expert(64)", "soft_q(expert, featurise)"]),
+        ("q_learning", ["featurise(take)", "soft_q([], featurise)"]),
     ],
 )
 def test_each_baseline_uses_only_the_data_it_may(algorithm: str, calls: list[str]) -> None:
