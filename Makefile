@@ -82,7 +82,7 @@ FAST := not chrome and not ray and not slow
 
 test: check test-fast ## run every check and every test, as CI does
 	@$(BIN)/python -m pytest -n logical --dist loadfile -m "chrome and not ray and not slow"
-	@$(BIN)/python -m pytest -n logical --dist loadfile --no-loadscope-reorder -m "slow or ray"
+	@$(BIN)/python -m pytest -n $$(($$(nproc) + 1)) --dist loadfile --no-loadscope-reorder -m "slow or ray"
 
 test-fast: install ## run the tests that start neither Ray nor Chrome and take seconds
 	@$(BIN)/python -m pytest -n logical -m "$(FAST)"

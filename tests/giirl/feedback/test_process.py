@@ -84,6 +84,15 @@ def test_a_kill_loses_no_answer_and_the_next_server_asks_about_other_pages(small
     assert {path.name for path in (small / "feedback").iterdir()} == first | second
 
 
+@pytest.fixture
+def hangup_ends_children() -> Iterator[None]:
+    """Also where the tests run under nohup, whose children ignore it."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("hangup_ends_children")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_it_cleanly_and_it_says_how_the_run_learns(number: signal.Signals, small: Path) -> None:
     with feedback(small) as (process, address):
