@@ -20,6 +20,7 @@ from giirl_core.nets.models import PolicyNet
 from giirl_core.nets.parameters import load_net
 from giirl_core.types import (
     DEMONSTRATION,
+    NO_ELEMENT,
     NO_SPAN,
     Action,
     EpisodeSpec,
@@ -150,29 +151,17 @@ class ReplayAgent:
 
     def __init__(self, demonstrations: Sequence[Trajectory]) -> None:
         self._demonstrations = demonstrations
-        self._begun: dict[EpisodeSpec, tuple[Page, Trajectory]] = {}  # first page, and what is repeated
-        self._steps: dict[EpisodeSpec, int] = {}
+        self._playing: dict[EpisodeSpec, _Repeated] = {}
 
     def select_actions(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]:
-        return [Decision(self._act(observation), 0.0, DEMONSTRATION) for observation in observations]
+        self._playing = {one.episode: self._repeated(one) for one in observations}  # an episode is in every call
+        return [Decision(self._playing[one.episode].act(one.page), 0.0, DEMONSTRATION) for one in observations]
 
-    def _act(self, observation: Observation) -> Action:
-        spec, page = observation.episode, observation.page
-        if spec not in self._begun or self._begun[spec][0] == page:  # an episode that was lost begins again
-            self._begun[spec], self._steps[spec] = (page, self._nearest(observation)), 0
-        demonstration, t = self._begun[spec][1], self._steps[spec]
-        self._steps[spec] = t + 1
-        if t >= len(demonstration):
-            return Action(verb=Verb.WAIT)
-        action, then = demonstration.actions[t], demonstration.pages[t]
-        changes: dict[str, object] = {}
-        if action.start != NO_SPAN:
-            changes = {"start": NO_SPAN, "end": NO_SPAN, "literal": action.text(demonstration.goal)}
-        if action.to >= 0:
-            changes["to"] = _most_alike(page, then, action.to)
-        if action.element >= 0:
-            changes["element"] = _most_alike(page, then, action.element)
-        return replace(action, **changes)  # type: ignore[arg-type]
+    def _repeated(self, observation: Observation) -> _Repeated:
+        known = self._playing.get(observation.episode)
+        if known is None or known.first_page == observation.page:  # an episode that was lost begins again
+            return _Repeated(observation.page, self._nearest(observation))
+        return known
 
     def _nearest(self, observation: Observation) -> Trajectory:
         """ValueError for a task without demonstrations."""
@@ -183,12 +172,33 @@ class ReplayAgent:
         return max(own, key=lambda one: len(words & _words(one.goal)) / len(words | _words(one.goal)))
 
 
+@dataclass(slots=True)
+class _Repeated:
+    """A demonstration that is repeated in one episode, up to its step `t`."""
+
+    first_page: Page  # of the episode
+    demonstration: Trajectory
+    t: int = 0
+
+    def act(self, page: Page) -> Action:
+        """The next action of the demonstration, on this page."""
+        shown, t = self.demonstration, self.t
+        self.t += 1
+        if t >= len(shown):
+            return Action(verb=Verb.WAIT)
+        action = shown.actions[t]
+        element, to = (_most_alike(page, shown.pages[t], row) for row in (action.element, action.to))
+        return replace(action, element=element, to=to, start=NO_SPAN, end=NO_SPAN, literal=action.text(shown.goal))
+
+
 def _words(goal: Goal) -> set[str]:
     return {token.lower() for token in goal.tokens}
 
 
 def _most_alike(page: Page, then: Page, row: int) -> int:
     """The element of `page` that is most like that in `row` of an earlier page: text, kind, attributes, place."""
+    if row == NO_ELEMENT:
+        return NO_ELEMENT
 
     def likeness(other: int) -> tuple[int, int]:
         same = sum(

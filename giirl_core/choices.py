@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from giirl_core.actions import NO_SPAN, Action, Verb
-from giirl_core.gestures import BASIC, MAX_GESTURES, TYPING, Gesture, Takes, is_allowed
+from giirl_core.gestures import BASIC, NOWHERE, TYPING, Gesture, Takes, allowed_elements
 from giirl_core.pages import Page
 
 MAX_LITERAL = 200  # characters of a text that is part of a gesture
@@ -21,9 +21,10 @@ EDGE = 0.4  # a drag that begins and ends this far from the centre, in sizes of 
 # Distances are rounded to these, so that gestures of a hand that differ little are one.
 DISTANCES_PX = np.array([0, 1, 2, 5, 10, 15, 20, 25, 30, 40, 50, 60, 80, 100, 150, 200, 300, 500, 1000, 2000, 5000])
 
+Kind = tuple[Verb, Takes, str, bool, bool, bool]
 
-@dataclass(frozen=True, slots=True)
-class Choice:
+
+class Choice(NamedTuple):
     """An action as the nets choose it. `start` and `end` are goal tokens; `start` may also be a second element."""
 
     gesture: int  # number in the gestures of the run
@@ -37,8 +38,9 @@ def choice_of(action: Action, page: Page, gestures: Sequence[Gesture]) -> Choice
     element = 0 if action.verb is Verb.WAIT else action.element
     best: tuple[float, Choice] | None = None
     for gesture, second in _read(action, page):
+        kind = _kind(gesture)
         for number, known in enumerate(gestures):
-            if _kind(known) != _kind(gesture):
+            if known.verb is not gesture.verb or _kind(known) != kind:
                 continue
             distance = math.dist((*known.at, *known.by), (*action.at, *action.by))
             if best is None or distance < best[0]:
@@ -51,7 +53,8 @@ def choice_of(action: Action, page: Page, gestures: Sequence[Gesture]) -> Choice
 
 def can_choose(choice: Choice, gesture: Gesture, page: Page) -> bool:
     """Whether a policy can make this choice: its gesture is allowed on the element, and words to type are there."""
-    return is_allowed(gesture, page, choice.element) and (gesture.takes is not Takes.WORDS or choice.start != NO_SPAN)
+    has_words = gesture.takes is not Takes.WORDS or choice.start != NO_SPAN
+    return has_words and bool(allowed_elements(gesture, page)[choice.element])
 
 
 def action_of(choice: Choice, page: Page, gestures: Sequence[Gesture]) -> Action:
@@ -78,7 +81,7 @@ def shown_gestures(demonstrations: Iterable[Iterable[tuple[Action, Page]]]) -> t
 
     Where no distance of a kind of gesture is that frequent but the kind is, its most frequent distance stands for it.
     """
-    counts, kinds = Counter[Gesture](), Counter[Gesture]()
+    counts, kinds = Counter[Gesture](), Counter[Kind]()
     for steps in demonstrations:
         shown = {gesture for action, page in steps for gesture in readings(action, page)}
         counts.update(shown)
@@ -88,7 +91,7 @@ def shown_gestures(demonstrations: Iterable[Iterable[tuple[Action, Page]]]) -> t
         is_first = _kind(gesture) not in map(_kind, found)
         if gesture not in BASIC and (count >= MIN_SHOWN or (is_first and kinds[_kind(gesture)] >= MIN_SHOWN)):
             found.append(gesture)
-    return tuple(map(str, found[: MAX_GESTURES - len(BASIC)]))
+    return tuple(map(str, found))
 
 
 def readings(action: Action, page: Page) -> list[Gesture]:
@@ -96,10 +99,9 @@ def readings(action: Action, page: Page) -> list[Gesture]:
     return [gesture for gesture, _ in _read(action, page)]
 
 
-@functools.cache
-def _kind(gesture: Gesture) -> Gesture:
+def _kind(gesture: Gesture) -> Kind:
     """The gesture without its distances; in their place, whether there are any."""
-    return replace(gesture, at=(float(gesture.at != (0.0, 0.0)), 0.0), by=(float(gesture.by != (0.0, 0.0)), 0.0))
+    return gesture.verb, gesture.takes, gesture.literal, gesture.across, gesture.at != NOWHERE, gesture.by != NOWHERE
 
 
 def _read(action: Action, page: Page) -> list[tuple[Gesture, int]]:
@@ -128,6 +130,8 @@ def _text_of(page: Page, row: int) -> str:
 
 
 def _rounded(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair == NOWHERE:
+        return pair
     x, y = (math.copysign(DISTANCES_PX[np.abs(DISTANCES_PX - abs(px)).argmin()], px) + 0.0 for px in pair)
     return x, y
 

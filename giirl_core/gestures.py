@@ -8,11 +8,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
+import numpy as np
+from numpy.typing import NDArray
+
 from giirl_core.actions import NO_SPAN, Action, Verb
 from giirl_core.config.sections import SHOWN
 from giirl_core.pages import Page
 
 MAX_GESTURES = 64  # of a run
+NOWHERE = (0.0, 0.0)  # no distance
 TYPING = frozenset({Verb.TYPE, Verb.APPEND, Verb.ACTIVATE})
 
 
@@ -45,14 +49,14 @@ class Gesture:
     verb: Verb
     takes: Takes = Takes.NOTHING
     literal: str = ""  # as Action.literal
-    at: tuple[float, float] = (0.0, 0.0)  # CSS px, as Action.at
-    by: tuple[float, float] = (0.0, 0.0)  # CSS px, as Action.by
+    at: tuple[float, float] = NOWHERE  # CSS px, as Action.at
+    by: tuple[float, float] = NOWHERE  # CSS px, as Action.by
     across: bool = False  # from one corner of the element to the opposite one, in place of `at` and `by`
 
     def __str__(self) -> str:
         literal = self.literal if self.verb is Verb.PRESS else json.dumps(self.literal, ensure_ascii=False)
         parts = [self.verb.name.lower(), self.takes.value, literal if self.literal else "", "across" * self.across]
-        parts += [f"{name} {x:g} {y:g}" for name, (x, y) in (("at", self.at), ("by", self.by)) if (x, y) != (0, 0)]
+        parts += [f"{name} {x:g} {y:g}" for name, (x, y) in (("at", self.at), ("by", self.by)) if (x, y) != NOWHERE]
         return " ".join(filter(None, parts))
 
     @property
@@ -95,9 +99,7 @@ def read_gesture(text: str) -> Gesture:
             by=_pair(found["by"]),
             across=bool(found["across"]),
         )
-        if gesture.across and gesture.verb is not Verb.DRAG:
-            raise ValueError
-        if gesture.takes is Takes.TO and gesture.verb is not Verb.DRAG:
+        if (gesture.across or gesture.takes is Takes.TO) and gesture.verb is not Verb.DRAG:
             raise ValueError
         if gesture.takes in (Takes.WORDS, Takes.TEXT_OF) and (gesture.verb not in TYPING or gesture.literal):
             raise ValueError
@@ -128,9 +130,10 @@ def read_gestures(texts: Sequence[str]) -> tuple[Gesture, ...]:
     return gestures
 
 
-def is_allowed(gesture: Gesture, page: Page, element: int) -> bool:
-    """Whether a gesture can be made on an element of a page."""
-    allowed = gesture.allowed
-    if allowed is Allowed.FIRST:
-        return element == 0
-    return allowed is Allowed.ALL or bool((page.leaf if allowed is Allowed.LEAVES else page.typable)[element])
+def allowed_elements(gesture: Gesture, page: Page) -> NDArray[np.bool_]:
+    """[E] True for the elements of a page that a gesture can be made on."""
+    if gesture.allowed is Allowed.LEAVES:
+        return page.leaf
+    if gesture.allowed is Allowed.FIELDS:
+        return page.typable
+    return np.arange(len(page)) < (1 if gesture.allowed is Allowed.FIRST else len(page))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giirl_core.actions import NO_ELEMENT, NO_SPAN, TOKEN, VERB_FIELDS, Action, Goal, Verb, is_held_out
-from giirl_core.choices import SampledActions, can_choose, choice_of, readings
+from giirl_core.choices import Choice, SampledActions, can_choose, choice_of, readings
 from giirl_core.gestures import Gesture
 from giirl_core.pages import TYPABLE_TAGS, Page
 
@@ -222,13 +222,17 @@ class Trajectory:
                 return self._no_gesture(t)
         return ""
 
-    def check(self, gestures: Sequence[Gesture]) -> None:
-        """ValueError when an action, taken or sampled, is none of the gestures of a run."""
+    def choices(self, gestures: Sequence[Gesture]) -> list[Choice]:
+        """[T] the actions as choices; ValueError when an action, taken or sampled, is none of the gestures of a run."""
+        found = []
         for t, (action, page) in enumerate(zip(self.actions, self.pages, strict=True)):
-            if choice_of(action, page, gestures) is None:
+            choice = choice_of(action, page, gestures)
+            if choice is None:
                 raise ValueError(self._no_gesture(t))
+            found.append(choice)
         if self.sampled is not None:
             self.sampled.check([len(page) for page in self.pages], len(self.goal.tokens), gestures)
+        return found
 
     def _no_gesture(self, t: int) -> str:
         action = self.actions[t]

@@ -13,11 +13,11 @@ from torch import Tensor
 
 from giirl_core.choices import Choice
 from giirl_core.gestures import BASIC, Gesture, Takes
-from giirl_core.nets.action_batch import ActionBatch, choices_of, collate_choices, collate_sampled
+from giirl_core.nets.action_batch import ActionBatch, collate_choices, collate_sampled
 from giirl_core.nets.batch import Batch, collate
 from giirl_core.nets.features import Features, featurise
 from giirl_core.nets.language import Vectors
-from giirl_core.types import Episode, Goal, Trajectory, Verb
+from giirl_core.types import NO_ELEMENT, Episode, Goal, Trajectory, Verb
 
 PRIORITY_EXPONENT, IMPORTANCE_EXPONENT = 0.6, 0.4  # of prioritised replay
 WRONG_GOAL_CACHE = 4096  # expert pages under wrong goals whose features are cached
@@ -43,7 +43,7 @@ class Step:
 def featurise_trajectory(trajectory: Trajectory, vectors: Vectors, gestures: Sequence[Gesture] = BASIC) -> Example:
     """Compute the features of a trajectory, once for all its uses in training; ValueError for any other gesture."""
     rows = tuple(featurise(page, trajectory.goal, vectors) for page in trajectory.pages)
-    return Example(trajectory, rows, tuple(choices_of(trajectory, gestures)))
+    return Example(trajectory, rows, tuple(trajectory.choices(gestures)))
 
 
 def steps_of(examples: Sequence[Example]) -> list[Step]:
@@ -134,7 +134,7 @@ class ExpertSampler:
             choice = example.choices[t]
             if self._gestures[choice.gesture].takes is Takes.WORDS:
                 start, end = other.find(own.actions[t].text(own.goal))
-                choice = replace(choice, start=start, end=end)
+                choice = choice._replace(start=start, end=end)
             wrong.append(Step(self._featurise(example, t, other), choice))
         return wrong
 
@@ -142,7 +142,8 @@ class ExpertSampler:
 def _signature(trajectory: Trajectory, t: int) -> tuple[Verb, str, str]:
     """The action of step t independent of its page: verb, text or tag of the element, typed text."""
     page, action = trajectory.pages[t], trajectory.actions[t]
-    return action.verb, page.text[action.element] or page.tag[action.element], action.text(trajectory.goal)
+    where = "" if action.element == NO_ELEMENT else page.text[action.element] or page.tag[action.element]
+    return action.verb, where, action.text(trajectory.goal)
 
 
 class Replay:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -99,7 +99,8 @@ class ScoreRequest(_Strict):
         """The values that nets with these gestures score; ValueError, one line, where one part does not fit another."""
         goal = _goal(self.goal)
         page = _page(self.elements)
-        actions = [_action(index, action, page, goal, gestures) for index, action in enumerate(self.actions)]
+        known = {str(gesture): gesture for gesture in gestures if gesture.takes is not Takes.WORDS}
+        actions = [_action(index, action, page, goal, known) for index, action in enumerate(self.actions)]
         return page, goal, actions
 
 
@@ -153,7 +154,7 @@ def _page(elements: Sequence[Element]) -> Page:
     )
 
 
-def _action(index: int, action: Click | Type | Other, page: Page, goal: Goal, gestures: Sequence[Gesture]) -> Action:
+def _action(index: int, action: Click | Type | Other, page: Page, goal: Goal, known: Mapping[str, Gesture]) -> Action:
     _check_row(f"actions.{index}.element", action.element, page)
     if isinstance(action, Click):
         return Action(verb=Verb.CLICK, element=action.element)
@@ -162,7 +163,6 @@ def _action(index: int, action: Click | Type | Other, page: Page, goal: Goal, ge
         if start == NO_SPAN:
             raise ValueError(f"actions.{index}.text: wanted words of the goal, got {shown(action.text)}")
         return Action(verb=Verb.TYPE, element=action.element, start=start, end=end)
-    known = {str(gesture): gesture for gesture in gestures if gesture.takes is not Takes.WORDS}
     if action.gesture not in known:
         raise ValueError(f"actions.{index}.gesture: wanted one of {', '.join(known)}, got {shown(action.gesture)}")
     gesture = known[action.gesture]

@@ -14,7 +14,7 @@ from giirl_core.config import Config
 from giirl_core.metrics import Metrics
 from giirl_core.nets.reward import RewardModel, build_reward
 from giirl_core.progress import Display
-from giirl_core.types import Action, Goal, Page, Purpose, Trajectory, Verb, is_held_out
+from giirl_core.types import NO_ELEMENT, NO_SPAN, Action, Goal, Page, Purpose, Trajectory, is_held_out
 from giirl_core.weights import Weights
 
 
@@ -61,12 +61,17 @@ def _play_expert(config: Config, pages: int, metrics: Metrics, display: Display)
 
 
 def goal_steps(trajectory: Trajectory) -> list[GoalStep]:
-    """The steps that another goal would make wrong: typing, and clicks on an element that the goal names."""
+    """The steps that another goal would make wrong: typing its words, and acting on an element that it names."""
     return [
         GoalStep(page, action, trajectory.goal)
         for page, action in zip(trajectory.pages, trajectory.actions, strict=True)
-        if action.verb is Verb.TYPE or f'"{page.text[action.element]}"' in trajectory.goal.utterance
+        if action.start != NO_SPAN or _is_named(page, action, trajectory.goal)
     ]
+
+
+def _is_named(page: Page, action: Action, goal: Goal) -> bool:
+    """Whether the goal quotes the text of the element that an action is on."""
+    return action.element != NO_ELEMENT and f'"{page.text[action.element]}"' in goal.utterance
 
 
 def measure(model: RewardModel, steps: Sequence[GoalStep], seed: int) -> dict[str, Any]:
@@ -92,7 +97,7 @@ def _score(model: RewardModel, steps: Sequence[GoalStep], goals: Sequence[Goal])
     actions = []
     for step, goal in zip(steps, goals, strict=True):
         start, end = step.action.start, step.action.end
-        if step.action.verb is Verb.TYPE and goal != step.goal:
+        if start != NO_SPAN and goal != step.goal:
             start, end = goal.find(step.action.text(step.goal))
         actions.append(replace(step.action, start=start, end=end))
     return model.score_pairs([step.page for step in steps], actions, goals).numpy().astype(np.float64)

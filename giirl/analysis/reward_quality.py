@@ -23,7 +23,7 @@ from giirl.analysis.goal_sensitivity import goal_steps, measure
 from giirl.statistics import percent
 from giirl_core.config import Config
 from giirl_core.metrics import Metrics
-from giirl_core.nets.action_batch import choices_of, collate_choices, join, random_actions
+from giirl_core.nets.action_batch import collate_choices, join, random_actions
 from giirl_core.nets.batch import collate
 from giirl_core.nets.features import featurise
 from giirl_core.nets.reward import RewardModel, build_reward, reward_of
@@ -174,7 +174,7 @@ def _ranks(model: RewardModel, won: Sequence[Trajectory], seed: int) -> list[int
     """The rank, from 1, of each step's action among itself and NEGATIVES others."""
     batch = collate([featurise(page, one.goal, model.vectors) for one in won for page in one.pages])
     gestures = model.net.gestures
-    taken = collate_choices([choice for one in won for choice in choices_of(one, gestures)])
+    taken = collate_choices([choice for one in won for choice in one.choices(gestures)])
     uniform = torch.rand(len(batch), DRAWS, 3, generator=torch.Generator().manual_seed(seed))
     drawn = random_actions(batch, uniform, gestures)
     model.net.eval()

@@ -31,7 +31,8 @@ def score_file(config: Config, reward: Weights, file: Path) -> dict[str, Any]:
     represent.
     """
     sound, left_out = read_sound_episodes(file)
-    reasons = [episode.trajectory.unlearnable(read_gestures(config.net.gestures)) for episode in sound]
+    gestures = read_gestures(config.net.gestures)
+    reasons = [episode.trajectory.unlearnable(gestures) for episode in sound]
     episodes = [episode for episode, why in zip(sound, reasons, strict=True) if not why]
     left_out += filter(None, reasons)
     trajectories = [episode.trajectory for episode in episodes]

@@ -103,7 +103,7 @@ class Stage:
                 episode = recorder.record(spec, lambda goal: None)
             if episode is None:
                 raise ValueError("nothing was done in the window")
-            episode.trajectory.check(self._gestures)
+            episode.trajectory.choices(self._gestures)  # any other gesture is an error
             take.shown = episode.trajectory
         except (Interrupted, BrowserGone, ValueError, RuntimeError, OSError) as error:
             take.error = explain(error) or type(error).__name__

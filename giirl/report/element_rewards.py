@@ -10,7 +10,7 @@ import torch
 
 from giirl_core.choices import Choice, action_of
 from giirl_core.config import Config
-from giirl_core.gestures import TYPING, Gesture, Takes, is_allowed
+from giirl_core.gestures import TYPING, Gesture, Takes, allowed_elements
 from giirl_core.nets.reward import RewardModel, reward_of
 from giirl_core.types import NO_SPAN, Action, Goal, Outcome, Page, Verb
 
@@ -100,9 +100,10 @@ def element_actions(page: Page, goal: Goal, gestures: Sequence[Gesture]) -> list
     words = range(len(goal.tokens))
     spans = [(start, end) for start in words for end in words if start <= end]
     found = []
+    allowed = [allowed_elements(gesture, page) for gesture in gestures]
     for row in range(len(page)):
         for number, gesture in enumerate(gestures):
-            if gesture.has_second or not is_allowed(gesture, page, row):
+            if gesture.has_second or not allowed[number][row]:
                 continue
             own = spans if gesture.takes is Takes.WORDS else [(NO_SPAN, NO_SPAN)]
             found += [action_of(Choice(number, row, start, end), page, gestures) for start, end in own]

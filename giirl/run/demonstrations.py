@@ -17,7 +17,7 @@ from giirl_core.algorithms import ALGORITHMS
 from giirl_core.choices import shown_gestures
 from giirl_core.config import Config
 from giirl_core.config.sections import SHOWN
-from giirl_core.gestures import MAX_GESTURES, read_gestures
+from giirl_core.gestures import BASIC, MAX_GESTURES, read_gestures
 from giirl_core.metrics import Metrics
 from giirl_core.progress import Display
 from giirl_core.types import Episode, Purpose, Trajectory, is_held_out
@@ -139,9 +139,8 @@ def with_shown_gestures(config: Config, demonstrations: Sequence[Trajectory]) ->
         return config
     listed = [text for text in config.net.gestures if text != SHOWN]
     shown = shown_gestures(list(zip(one.actions, one.pages, strict=True)) for one in demonstrations)
-    room = MAX_GESTURES - len(read_gestures(listed))
-    further = [text for text in shown if text not in listed][:room]
-    return replace(config, net=replace(config.net, gestures=(*listed, *further)))
+    gestures = tuple(dict.fromkeys((*listed, *shown)))[: MAX_GESTURES - len(BASIC)]
+    return replace(config, net=replace(config.net, gestures=gestures))
 
 
 def select(episodes: list[Episode], origin: str, config: Config, display: Display) -> tuple[Config, list[Episode]]:

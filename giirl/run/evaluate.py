@@ -39,13 +39,13 @@ def evaluate(
         display.say(f"not evaluated, since the task file has no [success]: {', '.join(unmeasured)}")
     if not measured:
         return {}
-    greedy, random = AgentSpec(kind="greedy", policy=policy), AgentSpec(kind="random")
-    replay = AgentSpec(kind="replay", demonstrations=tuple(demonstrations))
-    measured_agent = greedy if config.evaluate.agent == "policy" else replay
+    agent, random = AgentSpec(kind="greedy", policy=policy), AgentSpec(kind="random")
+    if config.evaluate.agent == "replay":
+        agent = AgentSpec(kind="replay", demonstrations=tuple(demonstrations))
     pages, random_pages, tasks = config.evaluate.episodes, config.evaluate.random_episodes, len(measured)
     with open_player(config, metrics) as player:
         with display.job("evaluating", pages * tasks) as job:
-            played = player.play(measured_agent, Purpose.EVALUATE, pages, tasks=measured, job=job)
+            played = player.play(agent, Purpose.EVALUATE, pages, tasks=measured, job=job)
         with display.job("random baseline", random_pages * tasks) as job:
             at_random = player.play(random, Purpose.RANDOM, random_pages, tasks=measured, job=job)
     return {task: _row(config, task, played, at_random) for task in measured}

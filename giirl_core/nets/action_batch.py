@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
@@ -63,11 +63,6 @@ def collate_candidates(choices: Sequence[Choice]) -> ActionBatch:
     return ActionBatch(**{name: part.unsqueeze(0) for name, part in _columns(choices).items()})
 
 
-def choices_of(trajectory: Trajectory, gestures: Sequence[Gesture]) -> list[Choice]:
-    """[T] the actions of a trajectory as choices; ValueError if one is none of the gestures."""
-    return [choose(action, page, gestures) for action, page in zip(trajectory.actions, trajectory.pages, strict=True)]
-
-
 def choose(action: Action, page: Page, gestures: Sequence[Gesture]) -> Choice:
     """An action on a page as a choice; ValueError if it is none of the gestures."""
     choice = choice_of(action, page, gestures)
@@ -95,8 +90,8 @@ def collate_sampled(trajectories: Sequence[Trajectory]) -> tuple[ActionBatch, Te
 
 def _columns(choices: Sequence[Choice]) -> dict[str, Tensor]:
     """[B] each field of B choices."""
-    table = torch.tensor([astuple(choice) for choice in choices], dtype=torch.int64).view(-1, 4)
-    return {f.name: table[:, column] for column, f in enumerate(fields(Choice))}
+    table = torch.from_numpy(np.array(choices, dtype=np.int64).reshape(-1, 4))
+    return dict(zip(Choice._fields, table.unbind(1), strict=True))
 
 
 def legal_pairs(batch: Batch, gestures: Sequence[Gesture]) -> Tensor:

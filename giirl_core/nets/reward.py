@@ -23,7 +23,6 @@ from giirl_core.config.sections import STRICT, PositiveFloat, RewardForm
 from giirl_core.files import atomic_write
 from giirl_core.nets.action_batch import (
     ActionBatch,
-    choices_of,
     choose,
     collate_candidates,
     collate_choices,
@@ -115,10 +114,8 @@ class RewardModel:
 
         ValueError as in `score_pairs`, also for sampled actions.
         """
-        for trajectory in trajectories:
-            trajectory.check(self.net.gestures)
+        taken = collate_choices([choice for t in trajectories for choice in t.choices(self.net.gestures)])
         rows = [featurise(page, t.goal, self.vectors) for t in trajectories for page in t.pages]
-        taken = collate_choices([choice for t in trajectories for choice in choices_of(t, self.net.gestures)])
         logits = self._logits(rows, join(taken, collate_sampled(trajectories)[0]))
         lengths = [len(trajectory) for trajectory in trajectories]
         return [part.flatten().numpy() for part in episode_rewards(logits, lengths, self.form, self.clip)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -27,6 +27,8 @@ class MaxEnt:
     """
 
     def __init__(self, world: World, features: GridFeatures, demonstrations: Steps, *, width: int) -> None:
+        if features.absorbing:
+            raise ValueError("maximum entropy has no absorbing state here: wanted grid.absorbing=false")
         self._world, self._features = world, features
         self.net = GridRewardNet(features.reward_width, width)
         self.optimiser = torch.optim.Adam(self.net.parameters())
@@ -66,11 +68,12 @@ class MaxEnt:
         return table
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class _Shown:
     """The demonstrations under one sentence: where they start, and their discounted visits."""
 
-    def __init__(self, start: Table, visits: Table) -> None:
-        self.start, self.visits = start, visits  # [S], [S, A]
+    start: Table  # [S] fraction of the demonstrations
+    visits: Table  # [S, A] discounted
 
     @classmethod
     def of(cls, states: Index, actions: Index, count: int) -> _Shown:

@@ -69,7 +69,7 @@ class EpisodeQueue:
         if entry.episode is None:
             try:
                 episode = wire.build_episode(entry.message.header, entry.message.arrays)
-                episode.trajectory.check(self._gestures)
+                episode.trajectory.choices(self._gestures)  # of any other gesture it is invalid
                 entry.episode = episode
             except ValueError as error:
                 LOG.warning("dropped an invalid episode from %s: %s", entry.owner.actor, error)

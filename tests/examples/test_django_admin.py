@@ -59,7 +59,7 @@ def test_the_experts_do_what_each_of_the_five_kinds_asks_for(config: Config) -> 
     assert len(config.tasks) == 5
     assert sorted(e.trajectory.task for e in played if e.outcome.success) == sorted(2 * config.tasks)
     for episode in played:
-        episode.trajectory.check(BASIC)
+        episode.trajectory.choices(BASIC)
 
 
 def test_random_actions_do_not_pass_the_checks(config: Config) -> None:

@@ -8,18 +8,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
-from giirl.analysis.goal_sensitivity import sensitivity
+from giirl.analysis.goal_sensitivity import goal_steps, measure, sensitivity
 from giirl.run.folder import RunFolder
 from giirl.run.serial import SerialRuntime
 from giirl.run.train import reward_of_run
+from giirl_core.config import NetConfig
 from giirl_core.config_file import load_config
 from giirl_core.metrics import Metrics
+from giirl_core.nets.models import RewardNet
+from giirl_core.nets.reward import RewardModel
 from giirl_core.progress import Display
-from giirl_core.types import Episode, Trajectory, is_held_out
+from giirl_core.types import Action, Episode, Trajectory, Verb, is_held_out
 from learner.checkpoint import latest_checkpoint
 from learner.learner import Learner
 from tests.giirl.small import run
+from tests.learner import samples
 
 PARAMETERS = "parameters_sha256"
 SHARE = 0.4
@@ -143,3 +148,17 @@ def test_sensitivity_is_measured_for_tasks_with_several_goals_and_its_control_is
         assert {name: row[name] for name in found[task]} == found[task]
         for unit in ("pairs", "goals"):
             assert sum(group[unit] for group in groups) == row[unit]
+
+
+def test_the_steps_that_depend_on_the_goal_type_its_words_or_act_on_what_it_names() -> None:
+    torch.manual_seed(0)
+    config = NetConfig(width=16, gestures=("type text-of", "wait"))
+    model = RewardModel(RewardNet(samples.vectors(), config), samples.vectors(), "logit", 5.0)
+    shown = samples.page("input_text", "t:Ada", "button:Ok")
+    words = Action(verb=Verb.TYPE, element=0, start=1, end=1)
+    copied = Action(verb=Verb.TYPE, element=0, literal="Ada")  # also where a goal has the text
+    actions = [words, copied, Action(verb=Verb.CLICK, element=2), Action(verb=Verb.WAIT)]
+    goals = ('Enter Bea and press "Ok".', "Enter Ada twice.")
+    steps = [step for goal in goals for step in goal_steps(samples.trajectory(goal, [shown] * 4, actions))]
+    assert [step.action for step in steps] == [words, actions[2], words]
+    assert 0 <= measure(model, steps, 0)["auc"] <= 1

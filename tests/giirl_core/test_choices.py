@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from giirl_core.choices import SampledActions, action_of, choice_of, shown_gestures
-from giirl_core.gestures import BASIC, CLICK, MAX_GESTURES, TYPE_WORDS, Gesture, read_gesture, read_gestures
+from giirl_core.gestures import BASIC, CLICK, MAX_GESTURES, TYPE_WORDS, read_gesture, read_gestures
 from giirl_core.types import Action, Verb
 from tests.learner.samples import page
 
@@ -19,6 +17,7 @@ TEXTS = [
     "type text-of",
     'type "yes, I do"',
     'type "at 3 4"',
+    r'type "a \"b\" ü"',
     "append words",
     "hover",
     "wait",
@@ -145,7 +144,3 @@ def test_sampled_actions_that_exist_are_accepted() -> None:
 def test_a_sampled_action_that_does_not_exist_is_an_error(row: tuple[int, int, int, int]) -> None:
     with pytest.raises(ValueError, match=r"sampled action 4 of step 0 is "):
         sampled(*LEGAL, row).check([len(FORM)], 2, GESTURES)
-
-
-def test_a_gesture_keeps_its_text_when_it_is_copied() -> None:
-    assert str(replace(Gesture(verb=Verb.TYPE, literal='a "b"'), literal="ü")) == 'type "ü"'

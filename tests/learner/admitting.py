@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from giirl_core.metrics import Metrics
+from giirl_core.types import Episode
 from giirl_core.wire import delivery
 from giirl_core.wire import messages as wire
 from giirl_core.wire.delivery import Grant, IncarnationCounts, Notice
@@ -71,8 +72,11 @@ class AdmissionHarness:
         policy_version: int = 3,
     ) -> str:
         """The seed of the episode is its sequence number."""
-        stamp = Stamp(run=run, actor=actor, incarnation=incarnation, sequence=sequence)
         sent = episode(1, seed=sequence, policy_version=policy_version, reward_version=2)
+        return self.send(sent, sequence, actor=actor, incarnation=incarnation, run=run)
+
+    def send(self, sent: Episode, sequence: int, *, actor: str = "a", incarnation: int = 0, run: str = "run") -> str:
+        stamp = Stamp(run=run, actor=actor, incarnation=incarnation, sequence=sequence)
         return self._send(actor, wire.encode_episode(sent, stamp=stamp))
 
     def _send(self, actor: str, message: bytes) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from giirl_core.choices import SampledActions
 from giirl_core.telemetry.series import DROPPED, REJECTED
+from giirl_core.types import Action, Verb
 from giirl_core.wire import delivery
 from giirl_core.wire import messages as wire
 from giirl_core.wire.delivery import Grant, Notice
@@ -188,9 +191,18 @@ def test_an_invalid_episode_in_a_valid_message_is_dropped_and_acknowledged() -> 
     header, arrays = wire.decode(wire.encode_episode(episode(1), stamp=stamp))
     harness.admission.receive(b"a", wire.encode(header, {**arrays, "element": np.array([77], np.int32)}))
     harness.send_episode(1, policy_version=-1)  # the version of demonstrations
+    played = episode(1, seed=2)
+    hover = replace(played, trajectory=replace(played.trajectory, actions=(Action(verb=Verb.HOVER, element=0),)))
+    harness.send(hover, 2)  # a gesture that the run does not learn
+    unknown = SampledActions(
+        choices=np.array([[[2, 0, -1, -1]]], np.int16),
+        logp=np.zeros((1, 1), np.float32),
+        rewards=np.zeros((1, 1), np.float32),
+    )
+    harness.send(replace(played, trajectory=replace(played.trajectory, sampled=unknown)), 3)
     assert harness.admission.pull(1) is None
-    assert harness.dropped("invalid") == 2
-    assert harness.grant().low_watermark == 2
+    assert harness.dropped("invalid") == 4
+    assert harness.grant().low_watermark == 4
     assert harness.admission.queued == 0
 
 

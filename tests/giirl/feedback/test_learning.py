@@ -72,7 +72,7 @@ def test_an_answer_with_a_gesture_that_the_run_does_not_learn_is_left_out(
     shown = replace(RIGHT.episode, actions=(drag,) * len(RIGHT.episode))
     write_answer(answers, Answer(episode=RIGHT.episode, wrong_from=0, shown=shown))
     assert feedback(answers).read() == Heard()
-    assert "is none of the 2 gestures of the nets" in caplog.text
+    assert "step 0 is DRAG '' on element 0: no gesture that the nets learn" in caplog.text
     heard = feedback(answers, 'net.gestures=["drag to"]').read()
     assert heard is not None
     assert len(heard.demonstrations) == 1
