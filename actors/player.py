@@ -10,6 +10,7 @@ from typing import Literal, Protocol
 from actors.agents import Agent, ExpertAgent, FurtherAttempt, PolicyAgent, RandomAgent, ReplayAgent
 from actors.browser import open_browser
 from actors.rollouts import play_pages
+from actors.workflows import WorkflowAgent, read_workflows
 from browser_farm.mixed import expert_of
 from giirl_core.config import Config
 from giirl_core.metrics import Metrics
@@ -68,6 +69,14 @@ def build_agent(spec: AgentSpec, config: Config) -> Agent:
     vectors, greedy = load_vectors(config.net.vectors), spec.kind == "greedy"
     agent = PolicyAgent(net, vectors, version=spec.policy.version, greedy=greedy)
     return agent if greedy else FurtherAttempt(agent, spec.attempt)
+
+
+def training_agent(config: Config) -> PolicyAgent:
+    """The agent that plays for the learner, with an untrained policy."""
+    net, vectors = build_policy(config), load_vectors(config.net.vectors)
+    if config.algorithm == "wge":
+        return WorkflowAgent(net, vectors, read_workflows(config.demos.workflows))
+    return PolicyAgent(net, vectors, sampled_actions=config.sampled_actions)
 
 
 class BrowserPlayer:

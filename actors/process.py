@@ -7,16 +7,14 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
-from actors.agents import PolicyAgent
 from actors.browser import open_browser
 from actors.episode_counter import EpisodeCounter, counter_file, delete_counts
+from actors.player import training_agent
 from actors.schedule import Schedule
 from actors.uplink import Uplink
 from actors.worker import Worker, WorkerLimits
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import MAX_ACTORS
-from giirl_core.nets.language import load_vectors
-from giirl_core.nets.reward import build_policy
 from giirl_core.processes.worker_process import TICK_S, WorkerProcess
 from giirl_core.telemetry.series import ACTOR
 from giirl_core.types import Purpose
@@ -58,9 +56,7 @@ class ActorProcess(WorkerProcess):
 
     def _play(self, incarnation: int, first: int, learner: str, scorers: tuple[str, ...], weights: Weights) -> None:
         config, metrics, name = self._config, self._metrics, self._name
-        agent = PolicyAgent(
-            build_policy(config), load_vectors(config.net.vectors), sampled_actions=config.sampled_actions
-        )
+        agent = training_agent(config)
         agent.load(weights)
         self._weights = weights
         with ExitStack() as resources:

@@ -42,6 +42,7 @@ ALGORITHMS: dict[str, AlgorithmSpec] = {
     "true_reward": AlgorithmSpec(title="True reward", reward="environment", needs_demonstrations=False),
     "sqil": AlgorithmSpec(title="SQIL", reward="none", needs_demonstrations=True),
     "q_learning": AlgorithmSpec(title="Q-learning", reward="environment", needs_demonstrations=False),
+    "wge": AlgorithmSpec(title="WGE", reward="environment", needs_demonstrations=True),
     "iq_learn": AlgorithmSpec(title="IQ-Learn", reward="none", needs_demonstrations=True),
 }
 

@@ -61,6 +61,23 @@ def q_learning(config: Config, learner: BaselineParts, source: Source, steps: It
         observe(step, learner.soft_q.update([], learner.featurise(source.take(config.rollout_batch))))
 
 
+def workflow_guided_exploration(
+    config: Config, learner: BaselineParts, source: Source, steps: Iterable[int], observe: Observe
+) -> None:
+    """Workflow-guided exploration (WGE; Liu et al. 2018) on the page's own reward.
+
+    Half of the rollouts follow workflows of the demonstrations. The policy also imitates its replayed successes.
+    """
+    for step in steps:
+        rollouts = learner.featurise(source.take(config.rollout_batch))
+        stats = learner.policy.update(rollouts, learner.carried_rewards(rollouts))
+        learner.replay.add(learner.successes(rollouts))
+        for _ in range(config.cloning.updates):
+            if successes := learner.replay.sample(config.cloning.batch):
+                learner.cloner.update(successes)
+        observe(step, stats)
+
+
 # The learner is Any, because it is the web learner or the grid learner, depending on the world.
 Loop: TypeAlias = Callable[[Config, Any, Source, Iterable[int], Observe], None]
 
@@ -72,4 +89,5 @@ LOOPS: dict[str, Loop] = {
     "sqil": soft_q_imitation,
     "iq_learn": soft_q_imitation,
     "q_learning": q_learning,
+    "wge": workflow_guided_exploration,
 }

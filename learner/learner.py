@@ -77,6 +77,10 @@ class Learner:
         """The rewards [T, 1 + M] stored in the rollouts."""
         return [carried_rewards(example) for example in rollouts]
 
+    def successes(self, rollouts: Sequence[Example]) -> list[Example]:
+        """The rollouts whose stored rewards sum to 1, the page's full reward."""
+        return [example for example in rollouts if example.trajectory.rewards.sum() == 1.0]
+
     def hear(self, heard: Heard) -> None:
         """Answers of people join the demonstrations and the negatives, in place of those of an earlier call."""
         self.demos.join(heard.demonstrations)

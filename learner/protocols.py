@@ -67,6 +67,14 @@ class QLearner(Protocol):
     def update(self, expert: Batch, rollouts: Batch, /) -> Stats: ...
 
 
+class ReplayBuffer(Protocol):
+    """Episodes to learn from again."""
+
+    def add(self, rollouts: Batch, /) -> None: ...
+
+    def sample(self, episodes: int, /) -> Batch: ...
+
+
 class LearnerParts(Protocol):
     """The parts of a learner that Algorithm 1 uses. The cloner is for the baseline of figure 4.8."""
 
@@ -86,9 +94,14 @@ class LearnerParts(Protocol):
 
 
 class BaselineParts(LearnerParts, Protocol):
-    """The parts that the other baselines use: two more."""
+    """The parts that the other baselines use: four more."""
 
     @property
     def soft_q(self) -> QLearner: ...
+
+    @property
+    def replay(self) -> ReplayBuffer: ...
+
+    def successes(self, rollouts: Batch, /) -> Batch: ...
 
     def carried_rewards(self, rollouts: Batch, /) -> Rewards: ...

@@ -40,6 +40,8 @@ def resumed_or_started(config: Config) -> Iterator[tuple[RunFolder, Config, Path
     with RunFolder.resumed(path) as (folder, saved, checkpoint):
         if SHOWN in config.net.gestures:
             config = replace(config, net=replace(config.net, gestures=saved.net.gestures))
+        if SHOWN in config.demos.workflows:
+            config = replace(config, demos=replace(config.demos, workflows=saved.demos.workflows))
         changes = [key for key in differences(saved, config) if key != "run"]
         if fixed := [key for key in changes if not key.startswith(RESUMABLE)]:
             raise ValueError(

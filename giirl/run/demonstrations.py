@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from actors.player import AgentSpec, OpenPlayer, open_browser_player
+from actors.workflows import workflow_of
 from browser_farm.human.recording_files import find_recordings
 from browser_farm.human.recordings import ImportReport, import_recordings
 from browser_farm.mixed import expert_of
@@ -30,12 +31,15 @@ def collect_demonstrations(
     """The demonstrations of a run: for each task the first `demos.per_task` successes whose goal is not held out.
 
     `demos.noise_fraction` of them are then replaced by random episodes. The list is empty for an algorithm that does
-    not learn from demonstrations. In the config that comes with them, `net.gestures` has what they show.
+    not learn from demonstrations. In the config that comes with them, `net.gestures` has what they show, and so has
+    `demos.workflows` with `algorithm=wge`.
     """
     if not ALGORITHMS[config.algorithm].needs_demonstrations and not config.policy.bc_warmup_updates:
         return with_shown_gestures(config, []), []
     episodes, origin = _read_source(config, metrics, display, open_player)
     config, kept = select(episodes, origin, config, display)
+    if config.algorithm == "wge":
+        config = with_shown_workflows(config, [episode.trajectory for episode in kept])
     return config, add_noise(kept, config, metrics, display, open_player) if config.demos.noise_fraction else kept
 
 
@@ -141,6 +145,16 @@ def with_shown_gestures(config: Config, demonstrations: Sequence[Trajectory]) ->
     shown = shown_gestures(list(zip(one.actions, one.pages, strict=True)) for one in demonstrations)
     gestures = tuple(dict.fromkeys((*listed, *shown)))[: MAX_GESTURES - len(BASIC)]
     return replace(config, net=replace(config.net, gestures=gestures))
+
+
+def with_shown_workflows(config: Config, demonstrations: Sequence[Trajectory]) -> Config:
+    """The config with the workflows of demonstrations in place of SHOWN in `demos.workflows`."""
+    if SHOWN not in config.demos.workflows:
+        return config
+    listed = [text for text in config.demos.workflows if text != SHOWN]
+    gestures = read_gestures(config.net.gestures)
+    shown = [str(workflow_of(demonstration, gestures)) for demonstration in demonstrations]
+    return replace(config, demos=replace(config.demos, workflows=tuple(dict.fromkeys((*listed, *shown)))))
 
 
 def select(episodes: list[Episode], origin: str, config: Config, display: Display) -> tuple[Config, list[Episode]]:

@@ -7,16 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
-from actors.agents import PolicyAgent
 from actors.browser import open_browser
+from actors.player import training_agent
 from actors.rollouts import play_pages
 from giirl.run.folder import RUNTIME_FILE
 from giirl.throughput import StreamState
 from giirl_core.config import Config
 from giirl_core.metrics import Metrics
-from giirl_core.nets.language import load_vectors
 from giirl_core.nets.parameters import load_net
-from giirl_core.nets.reward import build_policy, build_reward
+from giirl_core.nets.reward import build_reward
 from giirl_core.telemetry.targets import node_address
 from giirl_core.types import Episode, Purpose, is_held_out
 from giirl_core.weights import Weights
@@ -63,9 +62,7 @@ class SerialRuntime:
         self._config, self._metrics = config, metrics
         self.node = node_address()
         self._browser = open_browser(config, metrics)
-        self._agent = PolicyAgent(
-            build_policy(config), load_vectors(config.net.vectors), sampled_actions=config.sampled_actions
-        )
+        self._agent = training_agent(config)
         self._reward = build_reward(config)
         self._reward_version = 0
         self._played = 0  # pages of each task so far

@@ -44,9 +44,11 @@ class Web:
 
     def check(self, config: Config) -> None:
         from actors.browser import check_tasks
+        from actors.workflows import read_workflows
 
         check_tasks(config)
         read_gestures(config.net.gestures)
+        read_workflows(config.demos.workflows)
 
     def train(self, config: Config, folder: RunFolder, checkpoint: Path | None, display: Display) -> dict[str, Any]:
         if config.runtime != "serial":  # a missing Ray is reported before demonstrations are made

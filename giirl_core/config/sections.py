@@ -13,7 +13,7 @@ from pydantic import AfterValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
-SHOWN = "shown"  # in `net.gestures`: what demonstrations show
+SHOWN = "shown"  # in `net.gestures` and `demos.workflows`: what demonstrations show
 
 MAX_ACTORS = 1024  # the index of an actor is part of its page seeds
 
@@ -44,6 +44,8 @@ class DemosConfig:
     """Tasks that scripted experts demonstrate whatever the source is, say because recordings do not hold the answer."""
     noise_fraction: Share = 0.0
     """Fraction of each task's demonstrations that is replaced by episodes of the random policy."""
+    workflows: tuple[str, ...] = (SHOWN,)
+    """What exploration follows with `algorithm=wge`, as JSON. `shown` stands for what the demonstrations show."""
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)

@@ -36,6 +36,8 @@ def config(path: Path, *changes: str) -> Config:
 
 def run(path: Path, *changes: str, resume: Path | None = None) -> dict[str, Any]:
     """Train in this process and return the result; with `resume`, from that checkpoint of an earlier run."""
+    if resume is not None:
+        folder = RunFolder(path)
+        return train(load_config(folder.config_file, [*changes, f"run={path}"]), folder, resume, Display())
     settings = config(path, *changes)
-    folder = RunFolder(path) if resume else RunFolder.create(settings, "test")
-    return train(settings, folder, resume, Display())
+    return train(settings, RunFolder.create(settings, "test"), None, Display())

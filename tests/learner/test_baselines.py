@@ -182,6 +182,8 @@ class Recorder:
         self.policy = SimpleNamespace(update=part("p_update"), net="net")
         self.cloner = SimpleNamespace(update=part("clone"))
         self.soft_q = SimpleNamespace(update=part("soft_q"))
+        self.successes = part("successes")
+        self.replay = SimpleNamespace(add=part("add"), sample=part("replayed"))
 
     def _part(self, name: str) -> Any:
         def call(*args: Any, **kwargs: Any) -> Any:
@@ -210,6 +212,17 @@ class Recorder:
         ("sqil", ["featurise(take)", "expert(64)", "soft_q(expert, featurise)"]),
         ("iq_learn", ["featurise(take)", "expert(64)", "soft_q(expert, featurise)"]),
         ("q_learning", ["featurise(take)", "soft_q([], featurise)"]),
+        (
+            "wge",
+            [
+                "featurise(take)",
+                "carried_rewards(featurise)",
+                "p_update(featurise, carried_rewards)",
+                "successes(featurise)",
+                "add(successes)",
+                *["replayed(64)", "clone(replayed)"] * 2,
+            ],
+        ),
     ],
 )
 def test_each_baseline_uses_only_the_data_it_may(algorithm: str, calls: list[str]) -> None:

@@ -86,6 +86,15 @@ def test_more_iterations_are_trained_and_any_other_change_is_refused(tmp_path: P
         attempt(config(tmp_path / "run", *FEW, "iterations=8", "seed=1"))
 
 
+def test_what_demonstrations_show_is_the_same_in_every_try(tmp_path: Path) -> None:
+    settings = config(tmp_path / "run", *FEW, "algorithm=wge")
+    attempt(settings)
+    saved = load_config(RunFolder(tmp_path / "run").config_file)
+    assert saved.demos.workflows != settings.demos.workflows
+    attempt(config(tmp_path / "run", *FEW, "algorithm=wge", "iterations=8"))
+    assert load_config(RunFolder(tmp_path / "run").config_file).demos.workflows == saved.demos.workflows
+
+
 def test_files_of_something_else_are_never_deleted(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("mine")
     with pytest.raises(ValueError, match="is not empty: choose another run=FOLDER"):

@@ -87,7 +87,9 @@ DEMANDING = (
 
 
 @pytest.mark.parametrize(
-    "changes", [DEMANDING, ("algorithm=cloning",), ("algorithm=sqil",)], ids=["giirl", "cloning", "sqil"]
+    "changes",
+    [DEMANDING, ("algorithm=cloning",), ("algorithm=sqil",), ("algorithm=wge", "rollout_batch=32")],
+    ids=["giirl", "cloning", "sqil", "wge"],
 )
 def test_a_run_stopped_by_a_signal_and_resumed_equals_an_uninterrupted_one(
     changes: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -226,7 +228,8 @@ def test_a_checkpoint_of_other_nets_is_an_error_that_names_the_shapes(
     straight: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     path, _ = straight
-    shutil.copy(path / "demonstrations.giirl", tmp_path)
+    for name in ("config.json", "demonstrations.giirl"):
+        shutil.copy(path / name, tmp_path)
     with pytest.raises(ValueError, match=r"has shape .* wanted"):
         run(tmp_path, "net.width=8", resume=latest_checkpoint(path / "checkpoints"))
 
