@@ -32,16 +32,16 @@ from giirl_core.metrics import Metrics
 from giirl_core.progress import Display
 from giirl_core.types import Episode, Purpose, Trajectory
 
-TASKS = ("click-tab-2", "email-inbox", "navigate-tree")
-BASE = (  # a policy that is not done yet: few demonstrations, a short training
+TASKS = ("social-media-some", "email-inbox-forward-nl-turk", "email-inbox-nl-turk")
+BASE = (  # a policy that is not done yet: few demonstrations, a short training; chosen on seed 100
     f"tasks={list(TASKS)!r}",
     "runtime=serial",
-    "demos.per_task=2",
+    "demos.per_task=8",
     "policy.bc_warmup_updates=300",
     'policy.prior="clone"',
     "policy.frozen_iterations=15",
     "policy.learning_rate=3e-4",
-    "policy.cloning_updates=2",
+    "policy.cloning_updates=8",
     "iterations=30",
     "rollout_batch=16",
     "evaluate.episodes=200",
