@@ -208,7 +208,11 @@ def pad_rows(rows: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
 
 
 def with_env_reward(episode: Episode) -> Trajectory:
-    """The trajectory with the sparse reward of the page, for the baseline that is trained on it."""
+    """The trajectory with the sparse reward of the page, for the baselines that are trained on it.
+
+    A failure has the reward 0, where MiniWoB gives -1. With -1 the first thing to learn is never to submit anything,
+    because a discounted failure is better the later it comes.
+    """
     rewards = np.zeros(len(episode.trajectory), dtype=np.float32)
-    rewards[-1] = episode.outcome.raw_reward
+    rewards[-1] = max(episode.outcome.raw_reward, 0.0)
     return replace(episode.trajectory, rewards=rewards)

@@ -125,9 +125,16 @@ class SoftQ:
         torch._foreach_lerp_(list(self.target.parameters()), list(self.net.parameters()), rate)
 
     def _next_values(self, next_batch: Batch, continues: Tensor) -> Tensor:
-        """V(s') [B], 0 where the episode is over. Gradients flow through it in IQ-Learn, not in SQIL."""
+        """V(s') [B], in Q-learning max Q(s', .), and 0 where the episode is over. Gradients flow only in IQ-Learn.
+
+        With V in Q-learning, the entropy of a long episode would be worth more than the reward that ends it.
+        """
         with torch.set_grad_enabled(self.form == "iq_learn"):
-            return torch.where(continues, self.target.state_value(self.target.encoder(next_batch)), 0.0)
+            encoding = self.target.encoder(next_batch)
+            value = self.target.state_value(encoding)
+            if self.form == "q_learning":
+                value = value + self.config.temperature * self.target.sample(encoding, None)[1][:, 0]
+            return torch.where(continues, value, 0.0)
 
 
 def _transitions(

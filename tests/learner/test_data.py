@@ -1,4 +1,4 @@
-"""Sampling: demonstrations uniformly by task, wrong goals that are wrong, and a uniform replay buffer."""
+"""Sampling: demonstrations by task, wrong goals that are wrong, a uniform replay buffer; the page's own reward."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 
 from giirl_core.gestures import BASIC, TYPE_WORDS
 from giirl_core.nets.features import featurise
-from giirl_core.types import Action, Trajectory, Verb
-from learner.data import Example, ExpertSampler, Replay, Step, featurise_trajectory
+from giirl_core.types import Action, Episode, Outcome, Trajectory, Verb
+from learner.data import Example, ExpertSampler, Replay, Step, featurise_trajectory, with_env_reward
 from tests.learner.samples import FLAT, expert_episodes, page, trajectory, vectors
 
 NAMES = ("Ada", "Bertram", "Clotilde")
@@ -135,3 +135,9 @@ def test_training_data_has_no_field_for_an_outcome() -> None:
     }
     assert {field.name for field in fields(Example)} == {"trajectory", "features", "choices"}
     assert {field.name for field in fields(Step)} == {"features", "choice"}
+
+
+@pytest.mark.parametrize(("raw", "last"), [(1.0, 1.0), (0.4, 0.4), (0.0, 0.0), (-1.0, 0.0)])
+def test_the_pages_own_reward_is_paid_at_the_end_and_a_failure_has_none(raw: float, last: float) -> None:
+    episode = Episode(trajectory=enter("Ada"), outcome=Outcome(raw_reward=raw, ended=True))
+    assert with_env_reward(episode).rewards.tolist() == [0.0, pytest.approx(last)]
