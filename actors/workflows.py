@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from actors.agents import Decision, PolicyAgent
-from giirl_core.actions import QUOTED
 from giirl_core.choices import Choice, action_of
 from giirl_core.config.sections import SHOWN
 from giirl_core.gestures import Gesture, Takes, allowed_elements, read_gesture
@@ -77,7 +76,7 @@ def _loosely(page: Page, goal: Goal, action: Action, gesture: Gesture, element: 
         where = [("text", text), *([("words", "")] if goal.find(text)[0] != NO_SPAN else []), *where]
     typed = [-1]
     if gesture.takes is Takes.WORDS:
-        typed = [n for n, quoted in enumerate(QUOTED.findall(goal.utterance)) if quoted == action.text(goal)] + typed
+        typed = [n for n, quoted in enumerate(goal.quoted) if quoted == action.text(goal)] + typed
     return tuple(Loosely(str(gesture), *one, number) for one, number in product(where, typed))
 
 
@@ -100,10 +99,9 @@ def _fits(step: Loosely, page: Page, goal: Goal, row: int) -> bool:
 def _arguments(step: Loosely, page: Page, goal: Goal, gesture: Gesture) -> Iterator[tuple[int, int]]:
     """What a gesture needs besides its element: words of the goal, another element, or nothing."""
     if gesture.takes is Takes.WORDS:
-        quoted = QUOTED.findall(goal.utterance)
         if step.quoted < 0:
             yield from ((a, b) for a in range(len(goal.tokens)) for b in range(a, len(goal.tokens)))
-        elif step.quoted < len(quoted) and (span := goal.find(quoted[step.quoted]))[0] != NO_SPAN:
+        elif step.quoted < len(goal.quoted) and (span := goal.find(goal.quoted[step.quoted]))[0] != NO_SPAN:
             yield span
     elif gesture.has_second:
         yield from ((row, NO_SPAN) for row in range(len(page)))

@@ -48,6 +48,11 @@ class Goal:
         )
         object.__setattr__(self, "offsets", tuple(m.span() for m in matches))
 
+    @property
+    def quoted(self) -> tuple[str, ...]:
+        """The texts in quotes, in order."""
+        return tuple(QUOTED.findall(self.utterance))
+
     def span(self, start: int, end: int) -> str:
         """The characters of the utterance from token `start` to token `end`, both included."""
         if end >= len(self.offsets):
@@ -93,7 +98,7 @@ def is_held_out(goal: Goal, fraction: float) -> bool:
     The decision is a hash of the goal's quoted strings (a button's label, a name to type, a link); of the whole
     utterance when nothing is quoted. Only the words matter, not their case nor the punctuation between them.
     """
-    quoted = QUOTED.findall(goal.utterance) or [goal.utterance]
+    quoted = goal.quoted or (goal.utterance,)
     words = WORD.findall(" ".join(quoted).lower())
     return zlib.crc32(" ".join([SALT, *words]).encode()) % BUCKETS < fraction * BUCKETS
 

@@ -115,7 +115,7 @@ def test_rollouts_carry_the_page_reward_only_if_the_algorithm_trains_on_it(
     )  # demonstrations are not read
     assert not any(result["demonstrations"].values())
     for episode, trajectory in zip(played, seen, strict=True):
-        assert trajectory.rewards[-1] == np.float32(episode.outcome.raw_reward)
+        assert trajectory.rewards[-1] == np.float32(max(episode.outcome.raw_reward, 0.0))
         assert not trajectory.rewards[:-1].any()
     seen.clear()
     played.clear()

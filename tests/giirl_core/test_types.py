@@ -11,7 +11,18 @@ from hypothesis import strategies as st
 
 from giirl_core.gestures import BASIC
 from giirl_core.keys import parse_chord
-from giirl_core.types import Action, Command, EpisodeSpec, Goal, Observation, Outcome, Purpose, Verb, page_seed
+from giirl_core.types import (
+    Action,
+    Command,
+    EpisodeSpec,
+    Goal,
+    Observation,
+    Outcome,
+    Purpose,
+    Verb,
+    is_held_out,
+    page_seed,
+)
 from giirl_core.weights import Weights
 from tests.learner.samples import FLAT, LONG, page, trajectory
 
@@ -205,3 +216,12 @@ def test_pages_are_equal_if_all_their_columns_are() -> None:
     for changes in ({"text": ("Ok", "Yes")}, {"focused": np.array([True, False])}, {"box": one.box + 1}):
         assert one != replace(other, **changes)
     assert one != "Ok"
+
+
+def test_held_out_goals_have_the_wanted_fraction_and_ignore_case_and_punctuation() -> None:
+    goals = [Goal(f'Click on the "word{number}" button.') for number in range(2_000)]
+    held = [is_held_out(goal, 0.25) for goal in goals]
+    assert 0.2 < np.mean(held) < 0.3
+    assert held == [is_held_out(Goal(goal.utterance.replace("word", "WORD")), 0.25) for goal in goals]
+    assert held == [is_held_out(Goal(goal.utterance.replace('" button', '." button')), 0.25) for goal in goals]
+    assert not any(is_held_out(goal, 0.0) for goal in goals)

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 import torch
 
-from giirl_core.config import Config, DiscriminatorConfig, NetConfig, SoftQConfig
+from giirl_core.config import Config, DiscriminatorConfig, SoftQConfig
 from giirl_core.metrics import Metrics
 from giirl_core.nets.augment import rename
 from giirl_core.nets.batch import Batch
-from giirl_core.nets.layout import ELEMENT_OVERLAP, TOKEN_OVERLAP
 from giirl_core.nets.models import PolicyNet
 from giirl_core.nets.reward import RewardModel, episode_rewards
-from giirl_core.types import Action, Goal, Verb, is_held_out
+from giirl_core.types import Action, Goal, Verb
 from learner.algorithms import LOOPS
 from learner.data import Replay, collate_steps, featurise_trajectory, last_step, steps_of
 from learner.discriminator import Discriminator
@@ -25,9 +24,7 @@ from learner.soft_q import SoftQ
 from tests.learner.samples import (
     FLAT,
     SHORT,
-    batch_of,
     legal_actions,
-    page,
     policy,
     reward_net,
     trajectory,
@@ -243,47 +240,6 @@ def test_each_baseline_uses_only_the_data_it_may(algorithm: str, calls: list[str
     source: Any = SimpleNamespace(take=lambda episodes: "take")
     LOOPS[algorithm](Config(), learner, source, range(1), lambda step, stats: None)
     assert learner.calls == calls
-
-
-def test_held_out_goals_have_the_wanted_fraction_and_ignore_case_and_punctuation() -> None:
-    goals = [Goal(f'Click on the "word{number}" button.') for number in range(2_000)]
-    held = [is_held_out(goal, 0.25) for goal in goals]
-    assert 0.2 < np.mean(held) < 0.3
-    assert held == [is_held_out(Goal(goal.utterance.replace("word", "WORD")), 0.25) for goal in goals]
-    assert held == [is_held_out(Goal(goal.utterance.replace('" button', '." button')), 0.25) for goal in goals]
-    assert not any(is_held_out(goal, 0.0) for goal in goals)
-
-
-def test_without_goal_overlap_the_encoding_does_not_depend_on_common_words() -> None:
-    batch = batch_of((FLAT, Goal('Click on the "Ok" button.')))
-    for overlap, same in ((True, False), (False, True)):
-        torch.manual_seed(0)
-        net = PolicyNet(vectors(), NetConfig(width=16, goal_overlap=overlap))
-        tokens, elements = batch.token_flags.clone(), batch.element_flags.clone()
-        tokens[:, TOKEN_OVERLAP] = 0.0
-        elements[:, ELEMENT_OVERLAP] = 0.0
-        none = torch.zeros_like(batch.match_weight)
-        without = replace(batch, match_weight=none, token_flags=tokens, element_flags=elements)
-        assert torch.equal(net.encoder(batch).elements, net.encoder(without).elements) is same
-
-
-def test_without_word_order_the_encoding_does_not_depend_on_it() -> None:
-    one, two = Goal("Click Ok not Cancel"), Goal("Click Cancel not Ok")
-    for order, same in ((True, False), (False, True)):
-        torch.manual_seed(0)
-        encoder = PolicyNet(vectors(), NetConfig(width=16, word_order=order, goal_overlap=False)).encoder
-        first, second = (encoder(batch_of((FLAT, goal))).summary for goal in (one, two))
-        assert torch.allclose(first, second, atol=1e-5) is same
-
-
-def test_without_attention_an_element_is_encoded_independently_of_the_others() -> None:
-    # The size of an element is relative to the largest one.
-    pages = [replace(each, box=np.ones_like(each.box)) for each in (page("button:Ok"), page("button:Ok", "div:x"))]
-    for attention, same in ((True, False), (False, True)):
-        torch.manual_seed(0)
-        encoder = PolicyNet(vectors(), NetConfig(width=16, element_attention=attention)).encoder
-        first, second = (encoder(batch_of((each, Goal("Click Ok")))).elements[0] for each in pages)
-        assert torch.allclose(first, second, atol=1e-6) is same
 
 
 @pytest.mark.parametrize("form", ["plain", "airl"])
