@@ -27,7 +27,7 @@ MAX_TEXT = 60  # characters of an element's text that a step may ask for
 class Loosely(NamedTuple):
     """What a step of a demonstration may be taken for. It allows all actions that are alike in this respect."""
 
-    gesture: str
+    gesture: Gesture
     where: str  # what is known of the element: its "text", its "tag", that it shows "words" of the goal, or "any"
     value: str = ""  # that text or tag
     quoted: int = -1  # which quoted text of the goal is typed; -1: any words
@@ -41,19 +41,18 @@ class Workflow:
     steps: tuple[tuple[Loosely, ...], ...]
 
     def __str__(self) -> str:
-        return json.dumps([self.task, self.steps], ensure_ascii=False)
+        return json.dumps([self.task, self.steps], ensure_ascii=False, default=str)
 
 
 def read_workflow(text: str) -> Workflow:
     """The inverse of `str`; ValueError, one line, for a text that is no workflow."""
     try:
         task, steps = json.loads(text)
-        workflow = Workflow(task, tuple(tuple(Loosely(*one) for one in step) for step in steps))
-        for one in (one for step in workflow.steps for one in step):
-            read_gesture(one.gesture)
+        return Workflow(
+            task, tuple(tuple(Loosely(read_gesture(what), *rest) for what, *rest in step) for step in steps)
+        )
     except (ValueError, TypeError):
         raise ValueError(f"{text!r:.80} is no workflow") from None
-    return workflow
 
 
 def read_workflows(texts: Sequence[str]) -> tuple[Workflow, ...]:
@@ -77,14 +76,13 @@ def _loosely(page: Page, goal: Goal, action: Action, gesture: Gesture, element: 
     typed = [-1]
     if gesture.takes is Takes.WORDS:
         typed = [n for n, quoted in enumerate(goal.quoted) if quoted == action.text(goal)] + typed
-    return tuple(Loosely(str(gesture), *one, number) for one, number in product(where, typed))
+    return tuple(Loosely(gesture, *one, number) for one, number in product(where, typed))
 
 
 def allowed_choices(step: Loosely, page: Page, goal: Goal, gestures: Sequence[Gesture]) -> list[Choice]:
     """All choices on a page that a step of a workflow allows."""
-    number = next(n for n, gesture in enumerate(gestures) if str(gesture) == step.gesture)
-    arguments = list(_arguments(step, page, goal, gestures[number]))
-    rows = map(int, np.flatnonzero(allowed_elements(gestures[number], page)))
+    number, arguments = gestures.index(step.gesture), list(_arguments(step, page, goal))
+    rows = map(int, np.flatnonzero(allowed_elements(step.gesture, page)))
     return [Choice(number, row, *rest) for row in rows if _fits(step, page, goal, row) for rest in arguments]
 
 
@@ -96,14 +94,14 @@ def _fits(step: Loosely, page: Page, goal: Goal, row: int) -> bool:
     return step.where == "any" or page.tag[row] == step.value
 
 
-def _arguments(step: Loosely, page: Page, goal: Goal, gesture: Gesture) -> Iterator[tuple[int, int]]:
+def _arguments(step: Loosely, page: Page, goal: Goal) -> Iterator[tuple[int, int]]:
     """What a gesture needs besides its element: words of the goal, another element, or nothing."""
-    if gesture.takes is Takes.WORDS:
+    if step.gesture.takes is Takes.WORDS:
         if step.quoted < 0:
             yield from ((a, b) for a in range(len(goal.tokens)) for b in range(a, len(goal.tokens)))
         elif step.quoted < len(goal.quoted) and (span := goal.find(goal.quoted[step.quoted]))[0] != NO_SPAN:
             yield span
-    elif gesture.has_second:
+    elif step.gesture.has_second:
         yield from ((row, NO_SPAN) for row in range(len(page)))
     else:
         yield NO_SPAN, NO_SPAN
@@ -129,6 +127,9 @@ class WorkflowAgent(PolicyAgent):
 
     def __init__(self, net: PolicyNet, vectors: Vectors, workflows: Sequence[Workflow]) -> None:
         super().__init__(net, vectors)
+        for one in (one for workflow in workflows for step in workflow.steps for one in step):
+            if one.gesture not in net.gestures:
+                raise ValueError(f"a workflow has the gesture {str(one.gesture)!r:.80}, which net.gestures lacks")
         self._workflows = workflows
         self._playing: dict[EpisodeSpec, _Exploring] = {}
 

@@ -9,7 +9,7 @@ from actors.workflows import Loosely, WorkflowAgent, allowed_choices, read_workf
 from browser_farm.experts import expert
 from browser_farm.fake import FakeFarm
 from giirl_core.choices import action_of
-from giirl_core.gestures import BASIC
+from giirl_core.gestures import BASIC, CLICK
 from giirl_core.types import DEMONSTRATION, Trajectory
 from tests.actors.test_rollouts import episodes
 from tests.learner.samples import policy, vectors
@@ -26,10 +26,10 @@ def test_a_workflow_takes_a_step_for_its_text_its_kind_words_of_the_goal_and_any
     (step,) = workflow_of(shown, BASIC).steps
     page, row = shown.pages[0], shown.actions[0].element
     assert step == (
-        Loosely("click", "text", page.text[row]),
-        Loosely("click", "words"),
-        Loosely("click", "tag", page.tag[row]),
-        Loosely("click", "any"),
+        Loosely(CLICK, "text", page.text[row]),
+        Loosely(CLICK, "words"),
+        Loosely(CLICK, "tag", page.tag[row]),
+        Loosely(CLICK, "any"),
     )
     sizes = [len(allowed_choices(one, page, shown.goal, BASIC)) for one in step]
     assert sizes == sorted(sizes)
@@ -64,6 +64,12 @@ def test_workflows_are_read_back_and_a_bad_one_is_one_line() -> None:
     for bad in ("", "[]", '["t", [[["fly", "any"]]]]', '["t", [[["click"]]]]', '["t", 3]', "{}"):
         with pytest.raises(ValueError, match="is no workflow"):
             read_workflow(bad)
+
+
+def test_a_workflow_with_a_gesture_that_the_policy_lacks_is_an_error() -> None:
+    workflow = read_workflow('["click-menu", [[["hover", "any"]]]]')
+    with pytest.raises(ValueError, match=r"gesture 'hover', which net\.gestures lacks"):
+        WorkflowAgent(policy(), vectors(), [workflow])
 
 
 def test_exploration_with_workflows_finds_what_the_policy_alone_does_not() -> None:
