@@ -33,6 +33,7 @@ from giirl_core.weights import Weights
 
 BATCH = 64  # episodes that are scored at a time
 NEGATIVES = 4  # other legal actions that a step's action is compared with
+USES = ("sampled", "best_attempt", "likeliest", "oracle")  # ways to choose one of several attempts
 DRAWS = 12  # random actions that they are taken from: some are the action itself
 Array = NDArray[np.float64]
 
@@ -45,6 +46,7 @@ class Attempt:
     seed: int
     won: bool
     lowest: float  # reward of the step with the lowest one, less that of a step with D = 1/2
+    logp: float  # log-probability of its actions under the policy, nats
 
 
 def reward_quality(
@@ -59,7 +61,8 @@ def reward_quality(
       reciprocal rank (`mrr`). Ties count against the reward. `swapped_goal` is the fraction of steps that depend on the
       goal with a higher reward under their own goal than under that of another page.
     - In use: success of the attempt whose lowest reward is highest (`best_attempt`), beside that of the `greedy`
-      policy, of one attempt (`sampled`), and of the best attempt by the page's verdict (`oracle`).
+      policy, of one attempt (`sampled`), of the attempt that the policy itself finds most likely (`likeliest`), and of
+      the best attempt by the page's verdict (`oracle`).
     """
     model, tasks = build_reward(config, reward), measured_tasks(config)
     greedy = AgentSpec(kind="greedy", policy=policy)
@@ -94,7 +97,7 @@ def outcome_measures(judged: Sequence[Attempt]) -> dict[str, Any]:
 
 
 def uses(judged: Sequence[Attempt]) -> dict[str, float]:
-    """Success of one attempt at a page, of the one that the reward prefers, and of the best one."""
+    """Success of one attempt at a page, of the one that the reward prefers, of the likeliest, and of the best one."""
     by_page: dict[tuple[str, int], list[Attempt]] = defaultdict(list)
     for one in judged:
         by_page[one.task, one.seed].append(one)
@@ -102,13 +105,14 @@ def uses(judged: Sequence[Attempt]) -> dict[str, float]:
     return {
         "sampled": fmean(one.won for one in judged),
         "best_attempt": fmean(max(tried, key=lambda one: one.lowest).won for tried in pages),
+        "likeliest": fmean(max(tried, key=lambda one: one.logp).won for tried in pages),
         "oracle": fmean(any(one.won for one in tried) for tried in pages),
     }
 
 
 def quality_table(found: dict[str, Any]) -> Table:
     """A row for each task, and one for all."""
-    names = ("precision", "recall", "npv", "best_of_n", "swapped_goal", "greedy", "best_attempt", "oracle")
+    names = ("precision", "recall", "npv", "best_of_n", "swapped_goal", "greedy", "best_attempt", "likeliest", "oracle")
     table = Table("task", *(Column(name.replace("_", " "), justify="right") for name in names), title="reward, %")
     for task, row in [*found["tasks"].items(), ("all", found["all"])]:
         table.add_row(task, *(percent(row[name]) for name in names))
@@ -129,13 +133,13 @@ def _row(
         **_step_measures(model, won, config.seed),
         "swapped_goal": swapped,
         "greedy": fmean(episode.outcome.success for episode in greedy) if greedy else None,
-        **(uses(own) if own else dict.fromkeys(("sampled", "best_attempt", "oracle"))),
+        **(uses(own) if own else dict.fromkeys(USES)),
     }
 
 
 def _mean(rows: Sequence[dict[str, Any]]) -> dict[str, float | None]:
     """Means over tasks of all but the outcome measures, which all episodes share."""
-    names = ("best_of_n", "pairwise", "mrr", "swapped_goal", "greedy", "sampled", "best_attempt", "oracle")
+    names = ("best_of_n", "pairwise", "mrr", "swapped_goal", "greedy", *USES)
     columns = {name: [row[name] for row in rows if row[name] is not None] for name in names}
     return {name: fmean(column) if column else None for name, column in columns.items()}
 
@@ -152,6 +156,7 @@ def _judge(model: RewardModel, episodes: Sequence[Episode]) -> list[Attempt]:
                 seed=e.trajectory.seed,
                 won=e.outcome.success,
                 lowest=float(steps.min()) - even,
+                logp=float(e.trajectory.behaviour_logp.sum()),
             )
             for e, steps in zip(part, rewards, strict=True)
         ]

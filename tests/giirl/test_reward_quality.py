@@ -15,8 +15,8 @@ from tests.giirl.small import run
 from tests.learner.samples import expert_episodes
 
 
-def attempt(seed: int, won: bool, lowest: float) -> Attempt:
-    return Attempt(task="click-test", seed=seed, won=won, lowest=lowest)
+def attempt(seed: int, won: bool, lowest: float, logp: float = 0.0) -> Attempt:
+    return Attempt(task="click-test", seed=seed, won=won, lowest=lowest, logp=logp)
 
 
 JUDGED = [  # called right: three, of which two are
@@ -44,12 +44,14 @@ def test_what_has_nothing_to_divide_by_is_none() -> None:
 
 
 def test_the_preferred_attempt_is_compared_with_one_and_with_the_best() -> None:
-    assert uses([*JUDGED[1:], attempt(2, won=True, lowest=-3.0)]) == {
-        "sampled": 0.5,
+    assert uses([*JUDGED[1:], attempt(2, won=True, lowest=-3.0, logp=-1.0), attempt(1, won=False, lowest=-9.0)]) == {
+        "sampled": pytest.approx(3 / 7),
         "best_attempt": 1.0,
+        "likeliest": 1.0,
         "oracle": 1.0,
     }
     assert uses([attempt(1, won=True, lowest=0.0), attempt(1, won=False, lowest=1.0)])["best_attempt"] == 0.0
+    assert uses([attempt(1, won=True, lowest=1.0, logp=-2.0), attempt(1, won=False, lowest=0.0)])["likeliest"] == 0.0
 
 
 def test_a_further_attempt_uses_other_random_numbers() -> None:
