@@ -1,7 +1,7 @@
 """How good a learned reward is: as a judge of episodes, as a judge of steps, and in use.
 
-All numbers come from episodes that the run's own policy plays on pages that training never saw. The verdict of the page
-is what the judgements are compared with.
+All numbers come from episodes that a policy plays on pages that training never saw. The verdict of the page is what the
+judgements are compared with.
 """
 
 from __future__ import annotations

@@ -68,18 +68,22 @@ def sensitivity(run: Path, pages: int, json_file: Path | None) -> None:
 @RUN
 @click.option("--pages", default=25, show_default=True, type=click.IntRange(2), help="Fresh pages per task.")
 @click.option("--attempts", default=8, show_default=True, type=click.IntRange(1), help="Of the policy at each page.")
+@click.option("--policy", "player", type=Place(), help="The run whose policy plays.  [default: RUN]")
 @JSON
-def measure(run: Path, pages: int, attempts: int, json_file: Path | None) -> None:
-    """How well the reward judges episodes and steps of the policy, and what choosing by it is worth.
+def measure(run: Path, pages: int, attempts: int, player: Path | None, json_file: Path | None) -> None:
+    """How well the reward judges episodes and steps of a policy, and what choosing by it is worth.
 
     Precision, recall and negative predictive value against the page's verdict; best of five actions; the attempt that
-    the reward prefers, beside the greedy policy.
+    the reward prefers, beside the greedy policy. A policy that is done makes few mistakes: --policy takes another.
     """
     from giirl.analysis.reward_quality import quality_table, reward_quality
     from giirl.run.train import reward_of_run
     from giirl_core.metrics import Metrics
 
-    folder, config = open_web_run(run)
+    _, config = open_web_run(run)
+    folder, other = open_web_run(player or run)
+    if other.net != config.net:
+        raise ValueError(f"{player} has another net than {run}: wanted a policy with the same settings of `net`")
     policy = folder.weights(folder.latest_checkpoint(), "policy")
     found = reward_quality(config, reward_of_run(run), policy, pages, attempts, Metrics(), Display())
     save_and_show(json_file, found, quality_table(found))

@@ -78,3 +78,16 @@ def test_the_command_measures_every_task_of_a_run(giirl: Command, tmp_path: Path
         assert row["sampled"] <= row["oracle"]
         assert row["best_of_n"] is None or row["pairwise"] <= 1 - (1 - row["best_of_n"]) / NEGATIVES
     assert "oracle" in done.out
+
+
+def test_the_policy_of_another_run_plays_if_its_net_is_the_same(giirl: Command, tmp_path: Path) -> None:
+    run(tmp_path / "run", "iterations=1")
+    run(tmp_path / "other", "algorithm=cloning", "iterations=1", "seed=1")
+    run(tmp_path / "wide", "algorithm=cloning", "iterations=1", "net.width=32")
+    few = ("reward", "measure", tmp_path / "run", "--pages", "2", "--attempts", "1")
+    own, other = tmp_path / "own.json", tmp_path / "other.json"
+    assert giirl(*few, "--json", own).status == giirl(*few, "--policy", tmp_path / "other", "--json", other).status == 0
+    assert own.read_bytes() != other.read_bytes()
+    refused = giirl(*few, "--policy", tmp_path / "wide")
+    assert refused.status != 0
+    assert "another net" in refused.error
