@@ -87,6 +87,18 @@ def test_training_on_a_frozen_reward_changes_the_policy_and_not_the_reward(tmp_p
     assert again[PARAMETERS] != first[PARAMETERS]
 
 
+def test_a_policy_on_a_frozen_reward_can_start_from_a_clone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run(tmp_path / "first")
+    frozen = ("algorithm=frozen", f"reward_from={tmp_path / 'first'}", "iterations=1")
+    plain = run(tmp_path / "plain", *frozen)
+    cloned = run(tmp_path / "cloned", *frozen, "policy.bc_warmup_updates=3", "policy.prior=clone")
+    assert "behavioural cloning" in capsys.readouterr().err
+    assert cloned[PARAMETERS] != plain[PARAMETERS]
+    rewards = [RunFolder(tmp_path / name) for name in ("first", "cloned")]
+    first, second = (folder.weights(folder.latest_checkpoint(), "reward") for folder in rewards)
+    assert first.digest == second.digest
+
+
 def test_a_run_without_a_learned_reward_cannot_be_a_frozen_reward(tmp_path: Path) -> None:
     run(tmp_path / "cloned", "algorithm=cloning")
     with pytest.raises(ValueError, match=r"cloned learned no reward: .* 'cloning', wanted giirl or frozen"):
