@@ -12,6 +12,7 @@ import torch
 from safetensors import SafetensorError
 from torch import Tensor, nn
 
+from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.gestures import read_gestures
 from giirl_core.metrics import Metrics
@@ -113,7 +114,8 @@ class Learner:
         self.soft_q.update_target(1.0)
         if self.policy.prior is not None:
             self.policy.prior.load_state_dict(self.policy.net.state_dict())
-            self.discriminator.model.net.encoder.load_state_dict(self.policy.net.encoder.state_dict())
+            if ALGORITHMS[self.config.algorithm].reward == "learned":
+                self.discriminator.model.net.encoder.load_state_dict(self.policy.net.encoder.state_dict())
 
     def load_reward(self, weights: Weights) -> None:
         """Use the reward net of another run. ValueError if its parameters have other names or shapes."""

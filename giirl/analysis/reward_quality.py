@@ -33,8 +33,8 @@ from giirl_core.weights import Weights
 
 BATCH = 64  # episodes that are scored at a time
 NEGATIVES = 4  # other legal actions that a step's action is compared with
-USES = ("sampled", "best_attempt", "likeliest", "oracle")  # ways to choose one of several attempts
 DRAWS = 12  # random actions that they are taken from: some are the action itself
+USES = ("sampled", "best_attempt", "likeliest", "oracle")  # ways to choose one of several attempts
 Array = NDArray[np.float64]
 
 

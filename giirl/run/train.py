@@ -69,9 +69,9 @@ def train(config: Config, folder: RunFolder, resume: Path | None, display: Displ
         if resume is not None:
             learner.load(resume)
         else:
-            _warm_up(learner, config.policy.bc_warmup_updates, display)
             if ALGORITHMS[config.algorithm].reward == "frozen":
                 learner.load_reward(reward_of_run(Path(config.reward_from)))
+            _warm_up(learner, config.policy.bc_warmup_updates, display)
         session = Session(config, folder, learner, metrics, stop, own, display)
         with stopping(stop):
             session.learn(resume)
