@@ -86,10 +86,10 @@ def _reproduce(
 
     Several runs use the serial runtime, one process each. A single run has the machine to itself and uses `local`.
     """
-    from giirl.studies.fifty_two import fifty_two, fifty_two_table
+    from giirl.studies.fifty_two import PUBLISHED, fifty_two
     from giirl.studies.runner import evaluate_rewards, measure_transfer, plan, run_all
     from giirl.studies.summary import record, summary
-    from giirl.studies.table import study_table
+    from giirl.studies.table import study_table, task_table
 
     _check_seeds(name, study, seeds)
     display, since_s = Display(), time.monotonic()
@@ -109,8 +109,8 @@ def _reproduce(
     if alone:
         result["wall_seconds"] = round(time.monotonic() - since_s, 1)
     if study.compares_published:
-        head = fifty_two(result, study.variants[0].name, study.variants[1].name)
-        result, table = {**result, **head}, fifty_two_table(study.title, head, result)
+        result = {**result, **fifty_two(result, study.variants[0].name, study.variants[1].name)}
+        table = task_table(study.title, result, PUBLISHED)
     else:
         table = study_table(study.title, result)
     save_and_show(json_file, result, table)

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from statistics import fmean, median
 from typing import Any
 
+import numpy as np
+
 from giirl.run.folder import RunFolder
 from giirl.statistics import STREAK, Score
 from giirl.studies.runner import REWARD_EVAL, TRANSFER, VERSION, Planned
@@ -15,6 +17,7 @@ from giirl_core.config_file import changed
 
 LEVELS = (0.95, 0.99)  # success of STREAK episodes in a row
 MAX_POINTS = 60  # of a learning curve in a record
+BOOTSTRAP = 4_000  # samples
 
 
 def record(run: Planned, *, evaluates_reward: bool = False) -> dict[str, Any]:
@@ -79,10 +82,29 @@ def pooled(records: Sequence[dict[str, Any]], group: str = "") -> dict[str, dict
     return tasks
 
 
+def mean_with_interval(records: Sequence[dict[str, Any]], tasks: Sequence[str]) -> dict[str, float | None]:
+    """The mean success over tasks and seeds, and its 95 % interval.
+
+    The interval is a bootstrap over seeds, and over the pages of each task given the seed. A task of which a seed could
+    play no page is left out; None if that leaves no task.
+    """
+    tasks = [task for task in tasks if all(record["tasks"][task]["episodes"] for record in records)]
+    if not tasks:
+        return dict.fromkeys(("mean", "low", "high"))
+    success = np.array([[record["tasks"][task]["success"] for task in tasks] for record in records])
+    pages = np.array([[record["tasks"][task]["episodes"] for task in tasks] for record in records])
+    rng = np.random.default_rng(0)
+    seeds = rng.integers(len(records), size=(BOOTSTRAP, len(records)))
+    means = (rng.binomial(pages[seeds], success[seeds]) / pages[seeds]).mean(axis=(1, 2))
+    low, high = np.quantile(means, (0.025, 0.975))
+    return {"mean": round(float(success.mean()), 4), "low": round(float(low), 4), "high": round(float(high), 4)}
+
+
 def _variant(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The numbers of one variant, from the records of its seeds."""
     tasks = pooled(runs)
     found: dict[str, Any] = {"tasks": tasks, "seeds": [run["seed"] for run in runs]}
+    found["all_tasks"] = mean_with_interval(runs, tuple(tasks))
     for unit in ("episodes_to", "env_steps_to"):
         found[unit] = _median_reached([run[unit] for run in runs])
     found["lowest_last_third"] = {task: _lowest(runs, task) for task in tasks}

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from statistics import fmean
 from typing import Any
 
 from rich.table import Column, Table
 
 from giirl.run.evaluate import THESIS
+from giirl.statistics import percent
+
+WIDEST = 8  # more tasks than this are rows
 
 
 def study_table(title: str, result: dict[str, Any]) -> Table:
     """Success of every variant with its interval over all seeds, then the random baseline and the thesis."""
     tasks = list(dict.fromkeys(task for found in result["variants"].values() for task in found["tasks"]))
+    if len(tasks) > WIDEST:
+        return task_table(title, result)
     table = Table("", Column("seeds", justify="right"), *(Column(task, justify="right") for task in tasks), title=title)
     for name, found in result["variants"].items():
         _add_variant(table, tasks, name, found)
@@ -19,6 +26,25 @@ def study_table(title: str, result: dict[str, Any]) -> Table:
     table.add_row("random", "", *(f"{100 * random[task]:.1f}" for task in tasks))
     if set(tasks) & set(THESIS):
         table.add_row("thesis", "", *(f"{100 * THESIS[task]:.0f}" if task in THESIS else "-" for task in tasks))
+    return table
+
+
+def task_table(title: str, result: dict[str, Any], published: Mapping[str, Mapping[str, float]] | None = None) -> Table:
+    """A row for each task and their mean: all variants, the random baseline and, by task, what was published."""
+    variants, published = result["variants"], published or {}
+    sources = list(dict.fromkeys(source for row in published.values() for source in row))
+    table = Table("task", *(Column(name, justify="right") for name in (*variants, "random", *sources)), title=title)
+    random: dict[str, float | None] = {}
+    for task in next(iter(variants.values()))["tasks"]:
+        rows = [found["tasks"][task] for found in variants.values()]
+        random[task] = rows[0]["random"]
+        others = [published.get(task, {}).get(source) for source in sources]
+        table.add_row(task, *(percent(value) for value in (*(row["success"] for row in rows), random[task], *others)))
+    means = [found["all_tasks"] for found in variants.values()]
+    cells = [f"{percent(m['mean'])} ({percent(m['low'])} - {percent(m['high'])})" for m in means]
+    columns = [list(random.values()), *([row.get(source) for row in published.values()] for source in sources)]
+    known = [[value for value in column if value is not None] for column in columns]
+    table.add_row("mean", *cells, *(percent(fmean(values) if values else None) for values in known))
     return table
 
 

@@ -6,6 +6,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+from browser_farm.experts import EXPERTS
 from giirl.studies import fifty_two
 from giirl.studies.runner import Variant
 
@@ -16,6 +17,8 @@ NOISE_FRACTIONS = (0.1, 0.3)
 GIIRL = Variant(name="giirl")
 CLONING = Variant(name="cloning", changes=("algorithm=cloning",))
 TRUE_REWARD = Variant(name="true reward", changes=("algorithm=true_reward", "policy.entropy=0.006"))
+Q_LEARNING = Variant(name="Q-learning", changes=("algorithm=q_learning", "soft_q.temperature=0.03"))
+WGE = Variant(name="WGE", changes=("algorithm=wge", "policy.entropy=0.006"))
 BARE_CLONING = Variant(  # no renaming or jitter, four times as long, constant rate: this shows overfitting
     name="cloning, nothing renamed, 1,200 updates",
     changes=(
@@ -63,6 +66,8 @@ BASELINES = (
     Variant(name="SQIL", changes=("algorithm=sqil", "soft_q.temperature=0.003")),
     Variant(name="IQ-Learn", changes=("algorithm=iq_learn", "soft_q.temperature=0.3")),
     TRUE_REWARD,
+    Q_LEARNING,
+    WGE,
 )
 TUNED = (  # variant, setting, and the values that were tried on tuning seeds
     ("giirl", "policy.entropy", (0.15, 0.03)),
@@ -72,6 +77,8 @@ TUNED = (  # variant, setting, and the values that were tried on tuning seeds
     ("SQIL", "soft_q.temperature", (0.03, 0.01, 0.003)),
     ("IQ-Learn", "soft_q.temperature", (1.0, 0.3, 0.1, 0.03)),
     ("true reward", "policy.entropy", (0.15, 0.03, 0.006)),
+    ("Q-learning", "soft_q.temperature", (0.1, 0.03, 0.01)),
+    ("WGE", "policy.entropy", (0.03, 0.006)),
 )
 NETS = (
     GIIRL,
@@ -117,14 +124,16 @@ FROM_CLONE = (
     "policy.learning_rate=3e-4",
     "policy.cloning_updates=1",
     "iterations=120",
-    "rollout_batch=52",
 )
 FIFTY_TWO = (
-    Variant(name="giirl from the clone", changes=FROM_CLONE),
+    Variant(name="giirl from the clone", changes=(*FROM_CLONE, "rollout_batch=52")),
     Variant(name=CLONING.name, changes=(*CLONING.changes, "iterations=300")),
-    Variant(name="giirl from nothing"),
-    Variant(name="true reward from the clone", changes=("algorithm=true_reward", *FROM_CLONE, "policy.entropy=0.006")),
+    Variant(
+        name="true reward from the clone",
+        changes=(*FROM_CLONE, "rollout_batch=52", "algorithm=true_reward", "policy.entropy=0.006"),
+    ),
     Variant(name="blind replay", changes=(*CLONING.changes, "iterations=1", "evaluate.agent=replay")),
+    Variant(name="giirl from nothing"),
 )
 FIFTY_TWO_FEW = tuple(
     Variant(name=f"{variant.name}, {budget}", changes=(*variant.changes, f"demos.per_task={budget}"))
@@ -137,6 +146,15 @@ FIFTY_TWO_SETTINGS = (
     "step_limit=25",
     "evaluate.random_episodes=50",
 )
+UNREADABLE = (  # what their experts type is neither in the instruction nor the text of an element
+    "find-word",
+    "scroll-text",
+    "simple-algebra",
+    "simple-arithmetic",
+    "terminal",
+    "text-transform",
+)
+SCRIPTED_TASKS = tuple(sorted(set(EXPERTS) - set(UNREADABLE)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -245,6 +263,15 @@ STUDIES = {
         variants=FIFTY_TWO_FEW,
         settings=FIFTY_TWO_SETTINGS,
         compares_published=True,
+    ),
+    "scripted-tasks": Study(
+        title="All tasks with a scripted expert that the nets can follow, one policy and one reward",
+        variants=(
+            Variant(name="giirl from the clone", changes=(*FROM_CLONE, f"rollout_batch={len(SCRIPTED_TASKS)}")),
+            FIFTY_TWO[1],
+        ),
+        settings=(f"tasks={json.dumps(SCRIPTED_TASKS)}", "step_limit=25"),
+        pages=50,
     ),
     "nets": Study(title="Ablations of the nets, in policy and reward alike", variants=NETS, evaluates_reward=True),
 }

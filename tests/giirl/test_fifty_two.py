@@ -6,8 +6,10 @@ from typing import Any
 
 import pytest
 
-from giirl.studies.fifty_two import PUBLISHED, SCRIPTED, TASKS, fifty_two, fifty_two_table, mean_with_interval
-from giirl.studies.summary import summary
+from giirl.studies.fifty_two import PUBLISHED, SCRIPTED, TASKS, fifty_two
+from giirl.studies.summary import mean_with_interval, summary
+from giirl.studies.table import study_table, task_table
+from giirl.studies.web import STUDIES
 from giirl_core.config_file import load_config
 from tests.end_to_end.commands import ROOT
 
@@ -69,7 +71,9 @@ def test_a_task_that_no_browser_could_play_is_in_no_mean() -> None:
     assert head["mean"] == 0.9
     assert head["tasks"]["click-link"]["missing"] == 200
     assert head["tasks_at_human"] == sum(row["human"] <= 0.9 for row in PUBLISHED.values())
-    assert fifty_two_table("title", head, result).row_count == 53
+    table = task_table("title", result, PUBLISHED)
+    assert table.row_count == 53
+    assert [*table.columns[-1].cells][-1] == "86.6"  # of HTML-T5
 
 
 def test_the_interval_of_the_mean_holds_seeds_and_pages() -> None:
@@ -83,6 +87,30 @@ def test_the_interval_of_the_mean_holds_seeds_and_pages() -> None:
 
 def test_the_table_has_a_row_for_each_task_and_the_mean() -> None:
     result = study()
-    table = fifty_two_table("title", fifty_two(result, "giirl", "cloning"), result)
+    table = study_table("title", result)
     assert table.row_count == 53
-    assert [column.header for column in table.columns][:4] == ["task", "giirl", "cloning", "random"]
+    assert [column.header for column in table.columns] == ["task", "giirl", "cloning", "random"]
+    assert [next(reversed([*column.cells])) for column in table.columns] == [
+        "mean",
+        "95.0 (89.6 - 100.0)",
+        "50.0 (48.6 - 51.4)",
+        "25.0",
+    ]
+
+
+def test_a_study_without_any_played_page_has_no_mean() -> None:
+    row = {"episodes": 0, "success": None, "random": None, "random_episodes": 0, "missing": 100}
+    run = record("giirl", 0, 0.0)
+    run["tasks"] = dict.fromkeys(TASKS, row)
+    result = summary("fifty-two", [run])
+    assert result["variants"]["giirl"]["all_tasks"] == {"mean": None, "low": None, "high": None}
+    assert [*study_table("title", result).columns[1].cells][-1] == "- (- - -)"
+
+
+def test_the_tasks_with_scripted_experts_are_those_of_the_experiment() -> None:
+    config = load_config(ROOT / "experiments/miniwob_scripted.toml", [])
+    study = STUDIES["scripted-tasks"]
+    (run, *_) = (load_config(None, (*study.settings, *variant.changes)) for variant in study.variants)
+    assert sorted(config.tasks) == list(run.tasks)
+    assert len(run.tasks) == config.rollout_batch == run.rollout_batch == 108
+    assert (config.policy, config.iterations, config.step_limit) == (run.policy, run.iterations, run.step_limit)
