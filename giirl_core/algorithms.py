@@ -14,7 +14,7 @@ class AlgorithmSpec:
 
     title: str  # in the report
     reward: Literal["learned", "frozen", "environment", "none"]  # the reward that the policy maximises
-    needs_demonstrations: bool  # False: none are collected, unless the policy starts with behavioural cloning
+    needs_demonstrations: bool  # False: none are collected, unless the policy also imitates (`policy`)
     worlds: tuple[WorldName, ...] = ("miniwob",)
 
     @property

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, TypeAlias
 
 from giirl_core.config import Config
-from learner.giirl import giirl
+from learner.giirl import clone, giirl
 from learner.protocols import BaselineParts, LearnerParts, Observe, Source
 
 
@@ -31,7 +31,9 @@ def train_on_frozen_reward(
     for step in steps:
         rollouts = learner.featurise(source.take(config.rollout_batch))
         rewards = learner.discriminator.rewards(rollouts, version=step + 1)
-        observe(step, learner.policy.update(rollouts, rewards))
+        stats = learner.policy.update(rollouts, rewards)
+        clone(config, learner)
+        observe(step, stats)
 
 
 def train_on_env_reward(
@@ -40,7 +42,9 @@ def train_on_env_reward(
     """Train a policy on the page's own sparse reward, which `source` stores in the rollouts."""
     for step in steps:
         rollouts = learner.featurise(source.take(config.rollout_batch))
-        observe(step, learner.policy.update(rollouts, learner.carried_rewards(rollouts)))
+        stats = learner.policy.update(rollouts, learner.carried_rewards(rollouts))
+        clone(config, learner)
+        observe(step, stats)
 
 
 def soft_q_imitation(
@@ -71,6 +75,7 @@ def workflow_guided_exploration(
     for step in steps:
         rollouts = learner.featurise(source.take(config.rollout_batch))
         stats = learner.policy.update(rollouts, learner.carried_rewards(rollouts))
+        clone(config, learner)
         learner.replay.add(learner.successes(rollouts))
         for _ in range(config.cloning.updates):
             if successes := learner.replay.sample(config.cloning.batch):

@@ -34,7 +34,8 @@ def collect_demonstrations(
     not learn from demonstrations. In the config that comes with them, `net.gestures` has what they show, and so has
     `demos.workflows` with `algorithm=wge`.
     """
-    if not ALGORITHMS[config.algorithm].needs_demonstrations and not config.policy.bc_warmup_updates:
+    imitates = config.policy.bc_warmup_updates or config.policy.cloning_updates
+    if not ALGORITHMS[config.algorithm].needs_demonstrations and not imitates:
         return with_shown_gestures(config, []), []
     episodes, origin = _read_source(config, metrics, display, open_player)
     config, kept = select(episodes, origin, config, display)

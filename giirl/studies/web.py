@@ -130,7 +130,13 @@ FIFTY_TWO = (
     Variant(name=CLONING.name, changes=(*CLONING.changes, "iterations=300")),
     Variant(
         name="true reward from the clone",
-        changes=(*FROM_CLONE, "rollout_batch=52", "algorithm=true_reward", "policy.entropy=0.006"),
+        changes=(
+            *FROM_CLONE,
+            "rollout_batch=52",
+            "algorithm=true_reward",
+            "policy.entropy=0.006",
+            "policy.cloning_updates=0",
+        ),
     ),
     Variant(name="blind replay", changes=(*CLONING.changes, "iterations=1", "evaluate.agent=replay")),
     Variant(name="giirl from nothing"),

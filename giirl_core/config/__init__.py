@@ -63,6 +63,9 @@ def _known_algorithm(name: str) -> str:
 Algorithm = Annotated[str, AfterValidator(_known_algorithm), Field(json_schema_extra={"enum": list(ALGORITHMS)})]
 
 
+CLONED_START = ("prior", "bc_warmup_updates", "frozen_iterations", "cloning_updates")  # of `policy`, on pages alone
+
+
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
 class Config:
     """All settings of a run."""
@@ -122,8 +125,12 @@ class Config:
                 f"algorithm is {self.algorithm!r} and reward_from {self.reward_from!r}: "
                 "wanted reward_from=RUN with algorithm=frozen, and only with it"
             )
-        if self.world == "gridcraft" and self.policy.prior == "clone":
-            raise ValueError("policy.prior is 'clone' and world 'gridcraft': wanted prior=uniform, or world=miniwob")
+        for name in CLONED_START if self.world == "gridcraft" else ():
+            value, wanted = (getattr(policy, name) for policy in (self.policy, PolicyConfig()))
+            if value != wanted:
+                raise ValueError(
+                    f"policy.{name} is {value!r} and world 'gridcraft': wanted {name}={wanted}, or world=miniwob"
+                )
         lock_step = self.stream.policy_lag == 0 and self.runtime != "serial"
         if lock_step and self.held_out_goals:
             raise ValueError(

@@ -64,6 +64,13 @@ def test_an_illegal_override_is_a_one_line_error(override: str, message: str) ->
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("start", ["bc_warmup_updates=9", "frozen_iterations=2", "cloning_updates=1"])
+def test_a_start_from_a_clone_that_the_grid_does_not_know_is_an_error(start: str) -> None:
+    name, value = start.split("=")
+    with pytest.raises(ValueError, match=rf"policy\.{name} is {value} and world 'gridcraft': wanted {name}=0"):
+        load_config(None, ["world=gridcraft", f"policy.{start}"])
+
+
 @pytest.mark.parametrize(("old", "new"), RENAMED.items())
 def test_an_old_key_is_an_error_that_names_the_new_key(old: str, new: str) -> None:
     assert old not in keys()

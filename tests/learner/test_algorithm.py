@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -74,6 +75,28 @@ def test_algorithm_1_trains_the_reward_and_then_the_policy_on_that_reward_only()
         ("p_update", "featurise", "rewards"),
         ("observe", 3, {"d_update": 1.0, "p_update": 1.0}),
     ]
+
+
+@pytest.mark.parametrize("algorithm", ["giirl", "frozen", "true_reward", "wge"])
+def test_every_policy_that_follows_a_reward_can_go_on_cloning(algorithm: str) -> None:
+    recorder = Recorder()
+    learner: Any = SimpleNamespace(
+        featurise=recorder.part("featurise"),
+        demos=SimpleNamespace(sample=recorder.part("expert")),
+        discriminator=SimpleNamespace(update=recorder.part("d_update"), rewards=recorder.part("rewards")),
+        policy=SimpleNamespace(update=recorder.part("p_update"), net="net"),
+        cloner=SimpleNamespace(update=recorder.part("clone_update")),
+        carried_rewards=recorder.part("rewards"),
+        successes=recorder.part("successes"),
+        replay=SimpleNamespace(add=recorder.part("add"), sample=lambda episodes: []),
+    )
+    source: Any = SimpleNamespace(take=recorder.part("take"))
+    config = replace(SMALL, policy=replace(SMALL.policy, cloning_updates=2))
+    LOOPS[algorithm](config, learner, source, range(1), recorder.part("observe"))
+    names = [name for name, *_ in recorder.calls]
+    start = names.index("p_update") + 1
+    assert names[start : start + 4] == ["expert", "clone_update"] * 2
+    assert names.count("clone_update") == 2
 
 
 def train(learner: Learner, demonstrations: list[Trajectory], steps: int) -> None:
