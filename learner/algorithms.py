@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, TypeAlias
 
 from giirl_core.config import Config
-from learner.giirl import giirl, imitate
+from learner.giirl import giirl, keep_cloning
 from learner.protocols import BaselineParts, LearnerParts, Observe, Source
 
 
@@ -32,7 +32,7 @@ def train_on_frozen_reward(
         rollouts = learner.featurise(source.take(config.rollout_batch))
         rewards = learner.discriminator.rewards(rollouts, version=step + 1)
         stats = learner.policy.update(rollouts, rewards)
-        imitate(config, learner)
+        keep_cloning(config, learner)
         observe(step, stats)
 
 
@@ -43,7 +43,7 @@ def train_on_env_reward(
     for step in steps:
         rollouts = learner.featurise(source.take(config.rollout_batch))
         stats = learner.policy.update(rollouts, learner.carried_rewards(rollouts))
-        imitate(config, learner)
+        keep_cloning(config, learner)
         observe(step, stats)
 
 
@@ -75,7 +75,7 @@ def workflow_guided_exploration(
     for step in steps:
         rollouts = learner.featurise(source.take(config.rollout_batch))
         stats = learner.policy.update(rollouts, learner.carried_rewards(rollouts))
-        imitate(config, learner)
+        keep_cloning(config, learner)
         learner.replay.add(learner.successes(rollouts))
         for _ in range(config.cloning.updates):
             if successes := learner.replay.sample(config.cloning.batch):

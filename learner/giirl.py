@@ -23,11 +23,11 @@ def giirl(config: Config, learner: LearnerParts, source: Source, steps: Iterable
         d = discriminator.update(expert, rollouts, policy.net)  # binary logistic regression (eq. 3.2)
         rewards = discriminator.rewards(rollouts, version=step + 1)  # r(s, a | g) = log D - log(1 - D)
         p = policy.update(rollouts, rewards)  # policy optimisation (eq. 3.1)
-        imitate(config, learner)
+        keep_cloning(config, learner)
         observe(step, {**d, **p})
 
 
-def imitate(config: Config, learner: LearnerParts) -> None:
+def keep_cloning(config: Config, learner: LearnerParts) -> None:
     """Imitate demonstrations for `policy.cloning_updates` updates, after an update of the policy."""
     for _ in range(config.policy.cloning_updates):
         learner.cloner.update(learner.demos.sample(config.cloning.batch))
