@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from giirl.report.numbers import facts_of, flow_group, lead_of, learning_group, 
 from giirl.report.render import render, scale_view, strip_view
 from giirl.report.worlds import report_of
 from giirl.run.folder import RunFolder
+from giirl.statistics import percent
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.config_file import changed, dump_config
@@ -46,7 +48,10 @@ def report(folder: RunFolder, config: Config, out: Path, pages: int, command: st
         result_tables=world.result_tables(result) if result else [],
         maps=world.maps(folder, config),
         groups=groups,
-        strips=[(task, [strip_view(strip, scale) for strip in some]) for task, some in strips.items()],
+        strips=[
+            (title, [strip_view(strip, scale) for strip in strips[task]])
+            for task, title in _lowest_first(strips, result).items()
+        ],
         strips_words=words,
         scale=scale_view(scale) if ALGORITHMS[config.algorithm].has_learned_reward else None,
         settings=dump_config(config),
@@ -90,6 +95,14 @@ def _result(folder: RunFolder) -> dict[str, Any] | None:
     except ValueError as error:
         raise ValueError(f"{folder.result} is damaged: {error}") from None
     return result
+
+
+def _lowest_first(strips: Mapping[str, Any], result: Mapping[str, Any] | None) -> dict[str, str]:
+    """The title of each task with its success, the lowest first; in the order of the settings without a result."""
+    success = {task: row["success"] for task, row in (result or {}).get("tasks", {}).items()}
+    known = [task for task in strips if success.get(task) is not None]
+    titles = {task: f"{task}, {percent(success[task])} %" for task in sorted(known, key=lambda task: success[task])}
+    return titles | {task: task for task in strips if task not in titles}
 
 
 def _demonstrations(folder: RunFolder, config: Config, result: dict[str, Any] | None) -> dict[str, int]:

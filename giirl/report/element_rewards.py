@@ -34,6 +34,7 @@ class ScoredPage:
     policy_action: Action | None  # None where the page has no legal action
     best: tuple[ScoredAction, ...]  # the highest-reward action on each element; empty without a learned reward
     policy_logp: float = 0.0  # nats, log-probability of `policy_action`
+    policy_reward: float | None = None  # of `policy_action`; None without a learned reward
 
     @property
     def top(self) -> ScoredAction | None:

@@ -124,7 +124,10 @@ class Inspector:
             (decision,) = self._agent.select_actions([observation], np.zeros((1, 1, 3), np.float32))
             action, logp = decision.action, decision.logp
         best = score_elements(self._reward, page, goal) if self._reward is not None else ()
-        return ScoredPage(goal=goal, policy_action=action, best=best, policy_logp=logp)
+        reward = None
+        if self._reward is not None and action is not None:
+            reward = self._reward.score_actions(page, goal, [action]).item()
+        return ScoredPage(goal=goal, policy_action=action, best=best, policy_logp=logp, policy_reward=reward)
 
     def _screenshot(self, area: Box) -> bytes | None:
         if not self._screenshots:

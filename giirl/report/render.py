@@ -17,6 +17,7 @@ from giirl.report.element_rewards import (
     ScoredAction,
     ScoredPage,
     by_reward,
+    describe_action,
     element_name,
     truncate,
 )
@@ -54,6 +55,7 @@ class StripView:
     seed: int
     outcome: str
     outcome_class: str
+    cause: str
     frames: tuple[FrameView, ...]
 
 
@@ -85,7 +87,36 @@ def strip_view(strip: EpisodeView, scale: Scale) -> StripView:
     """Prepare an episode for the template."""
     outcome, outcome_class = _outcome(strip)
     frames = tuple(_frame(strip.task, step, frame, scale) for step, frame in enumerate(strip.frames, 1))
-    return StripView(task=strip.task, seed=strip.seed, outcome=outcome, outcome_class=outcome_class, frames=frames)
+    return StripView(
+        task=strip.task,
+        seed=strip.seed,
+        outcome=outcome,
+        outcome_class=outcome_class,
+        cause=failure_cause(strip, scale),
+        frames=frames,
+    )
+
+
+def failure_cause(strip: EpisodeView, scale: Scale) -> str:
+    """What the learned reward says about a failed episode, "" where there is nothing to say.
+
+    Either it knows better than the policy, at its first step with D < 1/2, or it knows no better.
+    """
+    steps = [(frame, frame.own.policy_action, frame.own.policy_reward) for frame in strip.frames]
+    taken = [(frame, ScoredAction(action=a, reward=r)) for frame, a, r in steps if a is not None and r is not None]
+    if strip.outcome is None or strip.outcome.success or not taken:
+        return ""
+    for step, (frame, one) in enumerate(taken, 1):
+        if one.reward < scale.middle:
+            rejected, best = _in_words(frame, one), frame.own.top
+            if best is None or best.reward <= one.reward:
+                return f"The reward rejects step {step}, {rejected}, and knows nothing better."
+            return f"The reward rejects step {step}, {rejected}, and prefers {_in_words(frame, best)}."
+    return "The reward accepts every step: it does not know what is wrong either."
+
+
+def _in_words(frame: Frame, one: ScoredAction) -> str:
+    return f"{describe_action(frame.page, frame.own.goal, one.action)} ({format_reward(one.reward)})"
 
 
 def _outcome(strip: EpisodeView) -> tuple[str, str]:

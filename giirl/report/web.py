@@ -96,7 +96,8 @@ class WebReport:
             f"The greedy policy of {checkpoint.name} on the first {pages} pages per task reserved for reports. These "
             "pages are not used for training, demonstrations, evaluation or tuning, and none is left out. Each step is "
             "also shown under a swapped instruction (goal swap), which names another element of the page. Where no "
-            "other element fits, it is the instruction of another page of the task."
+            "other element fits, it is the instruction of another page of the task. The tasks with the lowest success "
+            "come first. A failed episode says whether the reward knew better."
         ]
         if config.browser == "fake":
             words.append("The fake browser has no screenshots: elements are drawn as boxes.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -11,11 +12,13 @@ import pytest
 from click.testing import CliRunner, Result
 
 from giirl.cli.main import giirl
+from giirl.report.element_rewards import EpisodeView, Frame
+from giirl.report.overlay import format_reward
 from giirl.report.render import render, scale_view, strip_view
 from giirl.run.folder import RunFolder
 from giirl_core.files import write_json
-from giirl_core.types import Purpose, page_seed
-from tests.giirl.report.examples import HOSTILE, SCALE, hostile_strip
+from giirl_core.types import Outcome, Purpose, page_seed
+from tests.giirl.report.examples import HOSTILE, SCALE, TWO, hostile_strip, scored
 from tests.giirl.small import run
 
 ROOT = Path(__file__).parents[3]
@@ -76,7 +79,7 @@ def test_the_report_of_a_finished_run_has_all_sections(finished: Path) -> None:
     for task in ("click-test", "click-test-2", "click-button", "enter-text"):
         for index in range(2):
             assert f"Page {page_seed(Purpose.INSPECT, 0, index)}" in page.text
-        assert task in page.texts
+        assert any(re.fullmatch(rf"{task}, [0-9.]+ %", text) for text in page.texts)
     assert "has no screenshots" in page.text
     assert "Click button TWO." in page.texts
 
@@ -94,6 +97,44 @@ def test_the_report_of_a_run_is_deterministic(finished: Path, tmp_path: Path) ->
     for name in ("one.html", "two.html"):
         assert command("report", finished, "--pages", "1", "--out", tmp_path / name).exit_code == 0
     assert (tmp_path / "one.html").read_bytes() == (tmp_path / "two.html").read_bytes()
+
+
+def test_a_report_begins_with_the_tasks_of_the_lowest_success(finished: Path) -> None:
+    tasks = ("click-test", "click-test-2", "click-button", "enter-text")
+    found = [re.fullmatch(rf"({'|'.join(tasks)}), ([0-9.]+) %", text) for text in reported(finished).texts]
+    success = [float(one[2]) for one in found if one]
+    assert len(success) == len(tasks)
+    assert success == sorted(success)
+
+
+FAILED = Outcome(raw_reward=-1.0, ended=True)
+CANCEL = f"click button “Cancel” ({format_reward(-3.2)})"
+
+
+@pytest.mark.parametrize(
+    ("reward", "outcome", "cause"),
+    [
+        (-3.2, FAILED, f"The reward rejects step 1, {CANCEL}, and prefers click button “Ok” (+4.8)."),
+        (5.0, FAILED, "The reward accepts every step: it does not know what is wrong either."),
+        (None, FAILED, ""),
+        (-3.2, replace(FAILED, raw_reward=1.0), ""),
+        (-3.2, None, ""),
+    ],
+)
+def test_a_failed_episode_says_whether_the_reward_knew_better(
+    reward: float | None, outcome: Outcome | None, cause: str
+) -> None:
+    frame = Frame(page=TWO, screenshot=None, own=replace(scored(4.8, -3.2, chosen=1), policy_reward=reward), other=None)
+    episode = EpisodeView(task="click-button", seed=1, frames=(frame,), outcome=outcome)
+    assert strip_view(episode, SCALE).cause == cause
+
+
+def test_a_reward_may_know_nothing_better_than_a_step_that_it_rejects() -> None:
+    own = replace(scored(-4.0, -3.2, chosen=1), policy_reward=-3.2)
+    episode = EpisodeView(
+        task="click-button", seed=1, frames=(Frame(page=TWO, screenshot=None, own=own, other=None),), outcome=FAILED
+    )
+    assert strip_view(episode, SCALE).cause.endswith("and knows nothing better.")
 
 
 def test_html_in_page_text_is_escaped() -> None:
