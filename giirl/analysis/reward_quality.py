@@ -34,6 +34,9 @@ from giirl_core.weights import Weights
 BATCH = 64  # episodes that are scored at a time
 NEGATIVES = 4  # other legal actions that a step's action is compared with
 DRAWS = 12  # random actions that they are taken from: some are the action itself
+# The reward is sure that an episode is right if every step has more than SURE_RIGHT nats, and that it is wrong if some
+# step has less than SURE_WRONG and the last one less than 0. A wrong step that is not the last may have been undone.
+SURE_RIGHT, SURE_WRONG = 0.25, -3.0
 USES = ("sampled", "best_attempt", "likeliest", "oracle")  # ways to choose one of several attempts
 Array = NDArray[np.float64]
 
@@ -46,6 +49,7 @@ class Attempt:
     seed: int
     won: bool
     lowest: float  # reward of the step with the lowest one, less that of a step with D = 1/2
+    last: float  # of the last step, less the same
     logp: float  # log-probability of its actions under the policy, nats
 
 
@@ -55,7 +59,8 @@ def reward_quality(
     """Play `pages` pages of each task greedily, and `attempts` times by sampling, and judge all of it.
 
     - Episodes: the reward calls an episode right if every step has D > 1/2. Precision, recall, F1 and
-      the negative predictive value (`npv`) against the page's verdict; `auc` needs no threshold.
+      the negative predictive value (`npv`) against the page's verdict; `auc` needs no threshold. `sure_precision` and
+      `sure_npv` are of the episodes on which the reward does not abstain, which are the fraction `sure` of all.
     - Steps of successful greedy episodes, against NEGATIVES random other legal actions on the same page: how often the
       action taken has the highest reward (`best_of_n`), how often it beats one of them (`pairwise`), and its mean
       reciprocal rank (`mrr`). Ties count against the reward. `swapped_goal` is the fraction of steps that depend on the
@@ -83,8 +88,10 @@ def outcome_measures(judged: Sequence[Attempt]) -> dict[str, Any]:
     """How the reward's verdicts on episodes agree with the page's. None where there is nothing to divide by."""
     won = np.array([one.won for one in judged], dtype=bool)
     lowest = np.array([one.lowest for one in judged])
+    last = np.array([one.last for one in judged])
     called = lowest > 0
     both = int((won & called).sum())
+    right, wrong = lowest > SURE_RIGHT, (lowest < SURE_WRONG) & (last < 0)
     precision, recall = _share(both, int(called.sum())), _share(both, int(won.sum()))
     return {
         "episodes": len(judged),
@@ -93,6 +100,9 @@ def outcome_measures(judged: Sequence[Attempt]) -> dict[str, Any]:
         "f1": None if precision is None or recall is None else _share(2 * both, int(called.sum() + won.sum())),
         "npv": _share(int((~won & ~called).sum()), int((~called).sum())),
         "auc": _auc(lowest[won], lowest[~won]),
+        "sure": _share(int((right | wrong).sum()), len(judged)),
+        "sure_precision": _share(int((won & right).sum()), int(right.sum())),
+        "sure_npv": _share(int((~won & wrong).sum()), int(wrong.sum())),
     }
 
 
@@ -112,7 +122,8 @@ def uses(judged: Sequence[Attempt]) -> dict[str, float]:
 
 def quality_table(found: dict[str, Any]) -> Table:
     """A row for each task, and one for all."""
-    names = ("precision", "recall", "npv", "best_of_n", "swapped_goal", "greedy", "best_attempt", "likeliest", "oracle")
+    verdicts = ("precision", "recall", "npv", "sure", "sure_precision", "sure_npv")
+    names = (*verdicts, "best_of_n", "swapped_goal", "greedy", "best_attempt", "likeliest", "oracle")
     table = Table("task", *(Column(name.replace("_", " "), justify="right") for name in names), title="reward, %")
     for task, row in [*found["tasks"].items(), ("all", found["all"])]:
         table.add_row(task, *(percent(row[name]) for name in names))
@@ -156,6 +167,7 @@ def _judge(model: RewardModel, episodes: Sequence[Episode]) -> list[Attempt]:
                 seed=e.trajectory.seed,
                 won=e.outcome.success,
                 lowest=float(steps.min()) - even,
+                last=float(steps[-1]) - even,
                 logp=float(e.trajectory.behaviour_logp.sum()),
             )
             for e, steps in zip(part, rewards, strict=True)

@@ -15,8 +15,9 @@ from tests.giirl.small import run
 from tests.learner.samples import expert_episodes
 
 
-def attempt(seed: int, won: bool, lowest: float, logp: float = 0.0) -> Attempt:
-    return Attempt(task="click-test", seed=seed, won=won, lowest=lowest, logp=logp)
+def attempt(seed: int, won: bool, lowest: float, logp: float = 0.0, last: float | None = None) -> Attempt:
+    last = lowest if last is None else last
+    return Attempt(task="click-test", seed=seed, won=won, lowest=lowest, last=last, logp=logp)
 
 
 JUDGED = [  # called right: three, of which two are
@@ -36,8 +37,27 @@ def test_verdicts_on_episodes_are_counted_against_those_of_the_page() -> None:
     assert found["auc"] == pytest.approx(8 / 9, abs=1e-4)
 
 
+def test_a_reward_abstains_on_small_rewards_and_on_mistakes_that_may_have_been_undone() -> None:
+    found = outcome_measures(
+        [
+            attempt(1, won=True, lowest=0.5),
+            attempt(1, won=False, lowest=0.3),
+            attempt(1, won=False, lowest=0.1),  # abstains
+            attempt(1, won=True, lowest=-2.0),  # abstains
+            attempt(1, won=True, lowest=-4.0, last=0.5),  # abstains
+            attempt(1, won=False, lowest=-4.0),
+            attempt(1, won=True, lowest=-4.0, last=-0.1),
+            attempt(1, won=False, lowest=-4.0, last=-1.0),
+        ]
+    )
+    assert found["sure"] == 5 / 8
+    assert found["sure_precision"] == 0.5
+    assert found["sure_npv"] == pytest.approx(2 / 3, abs=1e-4)
+
+
 def test_what_has_nothing_to_divide_by_is_none() -> None:
     found = outcome_measures([attempt(1, won=True, lowest=1.0)])
+    assert (found["sure"], found["sure_precision"], found["sure_npv"]) == (1.0, 1.0, None)
     assert (found["precision"], found["recall"], found["npv"], found["auc"]) == (1.0, 1.0, None, None)
     assert outcome_measures([attempt(1, won=False, lowest=1.0)])["recall"] is None
     assert outcome_measures([])["episodes"] == 0
