@@ -142,7 +142,7 @@ class Discriminator:
         pick = random_step if config.train_on == "all_steps" else last_step
         steps = {
             EXPERT: [pick(expert[i % len(expert)], rng) for i in range(config.batch)],
-            "rollouts": self._newest_steps(rollouts),
+            "rollouts": self._newest_steps(rollouts) if config.rollouts else [],
             "replay": [pick(old, rng) for old in self.replay.sample(config.batch)] if config.replay else [],
             "wrong_goal": self.demos.wrong_goals(expert) if config.wrong_goal else [],
             "feedback": self._sample(self.marked_wrong) if config.feedback else [],
