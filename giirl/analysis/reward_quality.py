@@ -34,9 +34,9 @@ from giirl_core.weights import Weights
 BATCH = 64  # episodes that are scored at a time
 NEGATIVES = 4  # other legal actions that a step's action is compared with
 DRAWS = 12  # random actions that they are taken from: some are the action itself
-# The reward is sure that an episode is right if every step has more than SURE_RIGHT nats, and that it is wrong if some
-# step has less than SURE_WRONG and the last one less than 0. A wrong step that is not the last may have been undone.
-SURE_RIGHT, SURE_WRONG = 0.25, -3.0
+# The reward is sure that an episode is right if every step has more than SURE_RIGHT nats, and that it is wrong if the
+# last step has less than SURE_WRONG: an earlier mistake may have been undone. Chosen on tuning seed 100 of 52 tasks.
+SURE_RIGHT, SURE_WRONG = 0.6, -1.0
 USES = ("sampled", "best_attempt", "likeliest", "oracle")  # ways to choose one of several attempts
 Array = NDArray[np.float64]
 
@@ -91,7 +91,7 @@ def outcome_measures(judged: Sequence[Attempt]) -> dict[str, Any]:
     last = np.array([one.last for one in judged])
     called = lowest > 0
     both = int((won & called).sum())
-    right, wrong = lowest > SURE_RIGHT, (lowest < SURE_WRONG) & (last < 0)
+    right, wrong = lowest > SURE_RIGHT, last < SURE_WRONG
     precision, recall = _share(both, int(called.sum())), _share(both, int(won.sum()))
     return {
         "episodes": len(judged),

@@ -123,6 +123,8 @@ FROM_CLONE = (
     "policy.frozen_iterations=30",
     "policy.learning_rate=3e-4",
     "policy.cloning_updates=1",
+    "discriminator.rollouts=0",
+    "discriminator.replay=0",
     "iterations=120",
 )
 FIFTY_TWO = (

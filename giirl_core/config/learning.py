@@ -75,7 +75,8 @@ class DiscriminatorConfig:
     batch: Positive = 64
     """Expert steps in one update, and as many of every source of negatives. [steps]"""
     rollouts: Weight = 0.1
-    """Weight of steps from the newest rollouts. [relative]"""
+    """Weight of steps from the newest rollouts. If this and `replay` are 0 the discriminator sees experts' pages alone,
+    and cannot recognise the policy by its pages. [relative]"""
     replay: Weight = 0.1
     """Weight of steps from older rollouts. [relative]"""
     replay_size: Positive = 4096
@@ -83,7 +84,8 @@ class DiscriminatorConfig:
     policy_on_expert_states: Weight = 0.5
     """Weight of the policy's own actions in the states of the demonstrations. [relative]"""
     random_actions: Weight = 0.5
-    """Weight of uniformly random actions, half in expert states and half in the policy's. [relative]"""
+    """Weight of uniformly random actions, half in expert states and half in the policy's if `rollouts` is not 0.
+    [relative]"""
     wrong_goal: Weight = 0.25
     """Weight of expert steps under another instruction of the same task. [relative]"""
     feedback: Weight = 0.5

@@ -121,4 +121,5 @@ def test_the_tasks_with_scripted_experts_are_those_of_the_experiment() -> None:
     (run, *_) = (load_config(None, (*study.settings, *variant.changes)) for variant in study.variants)
     assert sorted(config.tasks) == list(run.tasks)
     assert len(run.tasks) == config.rollout_batch == run.rollout_batch == 108
-    assert (config.policy, config.iterations, config.step_limit) == (run.policy, run.iterations, run.step_limit)
+    assert (config.policy, config.discriminator) == (run.policy, run.discriminator)
+    assert (config.iterations, config.step_limit) == (run.iterations, run.step_limit)

@@ -40,14 +40,14 @@ def test_verdicts_on_episodes_are_counted_against_those_of_the_page() -> None:
 def test_a_reward_abstains_on_small_rewards_and_on_mistakes_that_may_have_been_undone() -> None:
     found = outcome_measures(
         [
-            attempt(1, won=True, lowest=0.5),
-            attempt(1, won=False, lowest=0.3),
-            attempt(1, won=False, lowest=0.1),  # abstains
-            attempt(1, won=True, lowest=-2.0),  # abstains
-            attempt(1, won=True, lowest=-4.0, last=0.5),  # abstains
+            attempt(1, won=True, lowest=0.8),
+            attempt(1, won=False, lowest=0.7),
+            attempt(1, won=False, lowest=0.3),  # abstains
+            attempt(1, won=True, lowest=-0.9),  # abstains
+            attempt(1, won=True, lowest=-4.0, last=0.9),  # abstains
             attempt(1, won=False, lowest=-4.0),
-            attempt(1, won=True, lowest=-4.0, last=-0.1),
-            attempt(1, won=False, lowest=-4.0, last=-1.0),
+            attempt(1, won=True, lowest=-4.0, last=-1.1),
+            attempt(1, won=False, lowest=-1.2),
         ]
     )
     assert found["sure"] == 5 / 8

@@ -12,6 +12,7 @@ from prometheus_client import generate_latest
 from giirl_core.config import Config, DiscriminatorConfig, StreamConfig
 from giirl_core.config import NetConfig as Net
 from giirl_core.metrics import Metrics
+from giirl_core.nets.parameters import hash_nets
 from giirl_core.types import UNSCORED, Trajectory
 from learner.learner import Learner
 from learner.protocols import ACCURACY, EXPERT
@@ -53,6 +54,21 @@ def test_the_plain_thesis_form_has_two_sources_and_the_default_six(demonstration
         learner.discriminator.update(learner.demos.sample(16), rollouts, learner.policy.net)
         stats = learner.discriminator.update(learner.demos.sample(16), rollouts, learner.policy.net)
         assert sources(stats) == wanted
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.1])
+def test_without_rollouts_among_its_sources_it_never_sees_the_pages_of_the_policy(
+    weight: float, demonstrations: list[Trajectory]
+) -> None:
+    learned = []
+    for played in (demonstrations[:2], demonstrations[2:]):
+        learner = make_learner(demonstrations, replace(SMALL, rollouts=weight, replay=weight))
+        for _ in range(2):
+            rollouts = learner.featurise(scored(played, 0))
+            stats = learner.discriminator.update(learner.demos.sample(16), rollouts, learner.policy.net)
+        learned.append(hash_nets(learner.discriminator.model.net))
+    assert "random_actions" in sources(stats)
+    assert (learned[0] == learned[1]) is (weight == 0.0)
 
 
 def test_it_learns_to_tell_the_expert_from_the_policy(demonstrations: list[Trajectory]) -> None:
