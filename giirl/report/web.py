@@ -93,7 +93,7 @@ class WebReport:
                     strips[task].append(strip)
                     job.advance()
         words = [
-            f"The greedy policy of {checkpoint.name} on the first {pages} pages per task reserved for reports. These "
+            f"The greedy policy of {checkpoint.name} on the first pages reserved for reports, {pages} per task. These "
             "pages are not used for training, demonstrations, evaluation or tuning, and none is left out. Each step is "
             "also shown under a swapped instruction (goal swap), which names another element of the page. Where no "
             "other element fits, it is the instruction of another page of the task. The tasks with the lowest success "
