@@ -86,7 +86,7 @@ def _reproduce(
 
     Several runs use the serial runtime, one process each. A single run has the machine to itself and uses `local`.
     """
-    from giirl.studies.fifty_two import PUBLISHED, fifty_two
+    from giirl.studies.fifty_two import PUBLISHED, TASKS, fifty_two
     from giirl.studies.runner import evaluate_rewards, measure_transfer, plan, run_all
     from giirl.studies.summary import record, summary
     from giirl.studies.table import study_table, task_table
@@ -110,7 +110,7 @@ def _reproduce(
         result["wall_seconds"] = round(time.monotonic() - since_s, 1)
     if study.compares_published:
         result = {**result, **fifty_two(result, study.variants[0].name, study.variants[1].name)}
-        table = task_table(study.title, result, PUBLISHED)
+        table = task_table(study.title, TASKS, result, PUBLISHED)
     else:
         table = study_table(study.title, result)
     save_and_show(json_file, result, table)

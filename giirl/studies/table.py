@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from statistics import fmean
 from typing import Any
 
@@ -18,7 +18,7 @@ def study_table(title: str, result: dict[str, Any]) -> Table:
     """Success of every variant with its interval over all seeds, then the random baseline and the thesis."""
     tasks = list(dict.fromkeys(task for found in result["variants"].values() for task in found["tasks"]))
     if len(tasks) > WIDEST:
-        return task_table(title, result)
+        return task_table(title, tasks, result)
     table = Table("", Column("seeds", justify="right"), *(Column(task, justify="right") for task in tasks), title=title)
     for name, found in result["variants"].items():
         _add_variant(table, tasks, name, found)
@@ -29,17 +29,22 @@ def study_table(title: str, result: dict[str, Any]) -> Table:
     return table
 
 
-def task_table(title: str, result: dict[str, Any], published: Mapping[str, Mapping[str, float]] | None = None) -> Table:
+def task_table(
+    title: str,
+    tasks: Sequence[str],
+    result: dict[str, Any],
+    published: Mapping[str, Mapping[str, float]] | None = None,
+) -> Table:
     """A row for each task and their mean: all variants, the random baseline and, by task, what was published."""
     variants, published = result["variants"], published or {}
     sources = list(dict.fromkeys(source for row in published.values() for source in row))
     table = Table("task", *(Column(name, justify="right") for name in (*variants, "random", *sources)), title=title)
     random: dict[str, float | None] = {}
-    for task in next(iter(variants.values()))["tasks"]:
-        rows = [found["tasks"][task] for found in variants.values()]
-        random[task] = rows[0]["random"]
+    for task in tasks:
+        rows = [found["tasks"].get(task, {}) for found in variants.values()]
+        random[task] = next((row["random"] for row in rows if row.get("random") is not None), None)
         others = [published.get(task, {}).get(source) for source in sources]
-        table.add_row(task, *(percent(value) for value in (*(row["success"] for row in rows), random[task], *others)))
+        table.add_row(task, *map(percent, (*(row.get("success") for row in rows), random[task], *others)))
     means = [found["all_tasks"] for found in variants.values()]
     cells = [f"{percent(m['mean'])} ({percent(m['low'])} - {percent(m['high'])})" for m in means]
     columns = [list(random.values()), *([row.get(source) for row in published.values()] for source in sources)]

@@ -71,7 +71,7 @@ def test_a_task_that_no_browser_could_play_is_in_no_mean() -> None:
     assert head["mean"] == 0.9
     assert head["tasks"]["click-link"]["missing"] == 200
     assert head["tasks_at_human"] == sum(row["human"] <= 0.9 for row in PUBLISHED.values())
-    table = task_table("title", result, PUBLISHED)
+    table = task_table("title", TASKS, result, PUBLISHED)
     assert table.row_count == 53
     assert [*table.columns[-1].cells][-1] == "86.6"  # of HTML-T5
 
