@@ -106,6 +106,14 @@ def test_the_table_has_a_row_for_each_task_and_the_mean() -> None:
     ]
 
 
+def test_a_variant_that_did_not_play_a_task_has_a_dash_there() -> None:
+    result = study()
+    del result["variants"]["giirl"]["tasks"]["click-link"]
+    row = TASKS.index("click-link")
+    cells = [[*column.cells][row] for column in task_table("title", TASKS, result).columns]
+    assert cells == ["click-link", "-", "50.0", "25.0"]
+
+
 def test_a_study_without_any_played_page_has_no_mean() -> None:
     row = {"episodes": 0, "success": None, "random": None, "random_episodes": 0, "missing": 100}
     run = record("giirl", 0, 0.0)
