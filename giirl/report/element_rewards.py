@@ -84,16 +84,20 @@ def scale_of(config: Config) -> Scale:
     return Scale(low=low, middle=middle, high=high)
 
 
-def score_elements(model: RewardModel, page: Page, goal: Goal) -> tuple[ScoredAction, ...]:
-    """The highest-reward action on each element, among `element_actions`."""
+def score_elements(
+    model: RewardModel, page: Page, goal: Goal, taken: Action | None = None
+) -> tuple[tuple[ScoredAction, ...], float | None]:
+    """The highest-reward action on each element, among `element_actions`, and the reward of the action `taken`."""
     actions = element_actions(page, goal, model.net.gestures)
-    if not actions:
-        return ()
+    asked = actions if taken is None else [*actions, taken]
+    if not asked:
+        return (), None
+    rewards = model.score_actions(page, goal, asked).tolist()
     best: dict[int, ScoredAction] = {}
-    for action, reward in zip(actions, model.score_actions(page, goal, actions).tolist(), strict=True):
+    for action, reward in zip(actions, rewards[: len(actions)], strict=True):
         if action.element not in best or reward > best[action.element].reward:
             best[action.element] = ScoredAction(action=action, reward=reward)
-    return tuple(best.values())
+    return tuple(best.values()), None if taken is None else rewards[-1]
 
 
 def element_actions(page: Page, goal: Goal, gestures: Sequence[Gesture]) -> list[Action]:

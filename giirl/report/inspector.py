@@ -123,10 +123,7 @@ class Inspector:
         if page.leaf.any():
             (decision,) = self._agent.select_actions([observation], np.zeros((1, 1, 3), np.float32))
             action, logp = decision.action, decision.logp
-        best = score_elements(self._reward, page, goal) if self._reward is not None else ()
-        reward = None
-        if self._reward is not None and action is not None:
-            reward = self._reward.score_actions(page, goal, [action]).item()
+        best, reward = score_elements(self._reward, page, goal, action) if self._reward is not None else ((), None)
         return ScoredPage(goal=goal, policy_action=action, best=best, policy_logp=logp, policy_reward=reward)
 
     def _screenshot(self, area: Box) -> bytes | None:

@@ -26,7 +26,8 @@ def fifty_two(result: dict[str, Any], variant: str, cloning: str) -> dict[str, A
 
     `result` is that of `giirl.studies.summary.summary`. A task of which no page could be played is in no mean.
     """
-    rows, records = result["variants"][variant]["tasks"], _records(result, variant)
+    rows = result["variants"][variant]["tasks"]
+    records = [record for record in result["runs"] if record["variant"] == variant]
     from_people = "demos.source=recordings" in records[0]["settings"]
     tasks = {
         task: {
@@ -39,15 +40,11 @@ def fifty_two(result: dict[str, Any], variant: str, cloning: str) -> dict[str, A
     wge = [task for task in TASKS if "wge" in PUBLISHED[task]]
     return {
         "tasks": tasks,
-        **mean_with_interval(records, TASKS),
+        **result["variants"][variant]["all_tasks"],
         "mean_wge_48": mean_with_interval(records, wge)["mean"],
         "tasks_at_human": sum(row["episodes"] > 0 and row["success"] >= row["human"] for row in tasks.values()),
-        "cloning_mean": mean_with_interval(_records(result, cloning), TASKS)["mean"],
+        "cloning_mean": result["variants"][cloning]["all_tasks"]["mean"],
         "seeds": result["variants"][variant]["seeds"],
         "seconds": max(record["seconds"] for record in records),
         "env_steps": max(record["env_steps"] for record in records),
     }
-
-
-def _records(result: dict[str, Any], variant: str) -> list[dict[str, Any]]:
-    return [record for record in result["runs"] if record["variant"] == variant]

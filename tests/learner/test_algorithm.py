@@ -55,17 +55,21 @@ class Recorder:
 
         return call
 
+    def learner(self, **more: Any) -> Any:
+        """The parts that the loops on a reward have in common, and `more`."""
+        return SimpleNamespace(
+            featurise=self.part("featurise"),
+            demos=SimpleNamespace(sample=self.part("expert")),
+            discriminator=SimpleNamespace(update=self.part("d_update"), rewards=self.part("rewards")),
+            policy=SimpleNamespace(update=self.part("p_update"), net="net"),
+            **more,
+        )
+
 
 def test_algorithm_1_trains_the_reward_and_then_the_policy_on_that_reward_only() -> None:
     recorder = Recorder()
-    learner: Any = SimpleNamespace(
-        featurise=recorder.part("featurise"),
-        demos=SimpleNamespace(sample=recorder.part("expert")),
-        discriminator=SimpleNamespace(update=recorder.part("d_update"), rewards=recorder.part("rewards")),
-        policy=SimpleNamespace(update=recorder.part("p_update"), net="net"),
-    )
     source: Any = SimpleNamespace(take=recorder.part("take"))
-    giirl(SMALL, learner, source, range(3, 4), recorder.part("observe"))
+    giirl(SMALL, recorder.learner(), source, range(3, 4), recorder.part("observe"))
     assert recorder.calls == [
         ("take", SMALL.rollout_batch),
         ("featurise", "take"),
@@ -80,11 +84,7 @@ def test_algorithm_1_trains_the_reward_and_then_the_policy_on_that_reward_only()
 @pytest.mark.parametrize("algorithm", ["giirl", "frozen", "true_reward", "wge"])
 def test_every_policy_that_follows_a_reward_can_go_on_cloning(algorithm: str) -> None:
     recorder = Recorder()
-    learner: Any = SimpleNamespace(
-        featurise=recorder.part("featurise"),
-        demos=SimpleNamespace(sample=recorder.part("expert")),
-        discriminator=SimpleNamespace(update=recorder.part("d_update"), rewards=recorder.part("rewards")),
-        policy=SimpleNamespace(update=recorder.part("p_update"), net="net"),
+    learner = recorder.learner(
         cloner=SimpleNamespace(update=recorder.part("clone_update")),
         carried_rewards=recorder.part("rewards"),
         successes=recorder.part("successes"),

@@ -20,19 +20,23 @@ def observation(on: Page, goal: str, seed: int = 0) -> Observation:
 @pytest.mark.parametrize(("on", "goal"), samples.CASES)
 def test_the_reward_of_an_element_is_that_of_its_best_action(on: Page, goal: Goal) -> None:
     model = RewardModel(samples.reward_net(), samples.vectors(), "logit", 5.0)
-    found = {one.action.element: one.reward for one in score_elements(model, on, goal)}
+    found = {one.action.element: one.reward for one in score_elements(model, on, goal)[0]}
     naive: dict[int, float] = {}
     actions = legal_actions(on, goal)
     rewards = model.score_pairs([on] * len(actions), actions, [goal] * len(actions)).tolist()
     for action, reward in zip(actions, rewards, strict=True):
         naive[action.element] = max(naive.get(action.element, reward), reward)
     assert found == pytest.approx(naive, abs=1e-5)
+    for action, reward in zip(actions[:3], rewards[:3], strict=True):
+        best, taken = score_elements(model, on, goal, action)
+        assert taken == pytest.approx(reward, abs=1e-5)
+        assert {one.action.element for one in best} == set(found)
 
 
 def test_a_page_without_elements_has_no_rewards() -> None:
     model = RewardModel(samples.reward_net(), samples.vectors(), "logit", 5.0)
     empty = Page(**{name: getattr(samples.FLAT, name)[:0] for name in Page.__dataclass_fields__})
-    assert score_elements(model, empty, Goal("Go.")) == ()
+    assert score_elements(model, empty, Goal("Go.")) == ((), None)
 
 
 def test_the_other_instruction_names_another_element_of_the_same_kind() -> None:
