@@ -118,7 +118,8 @@ FOLLOWERS = (
 
 
 FROM_CLONE = (
-    "policy.bc_warmup_updates=600",
+    "policy.bc_warmup_updates=1200",
+    "cloning.batch=32",
     "policy.prior=clone",
     "policy.frozen_iterations=30",
     "policy.learning_rate=3e-4",
@@ -129,16 +130,10 @@ FROM_CLONE = (
 )
 FIFTY_TWO = (
     Variant(name="giirl from the clone", changes=(*FROM_CLONE, "rollout_batch=52")),
-    Variant(name=CLONING.name, changes=(*CLONING.changes, "iterations=300")),
+    Variant(name=CLONING.name, changes=(*CLONING.changes, "iterations=600", "cloning.batch=32")),
     Variant(
         name="true reward from the clone",
-        changes=(
-            *FROM_CLONE,
-            "rollout_batch=52",
-            "algorithm=true_reward",
-            "policy.entropy=0.006",
-            "policy.cloning_updates=0",
-        ),
+        changes=(*FROM_CLONE, "rollout_batch=52", "algorithm=true_reward", "policy.entropy=0.006"),
     ),
     Variant(name="blind replay", changes=(*CLONING.changes, "iterations=1", "evaluate.agent=replay")),
     Variant(name="giirl from nothing"),
