@@ -130,7 +130,9 @@ FROM_CLONE = (
 )
 FIFTY_TWO = (
     Variant(name="giirl from the clone", changes=(*FROM_CLONE, "rollout_batch=52")),
-    Variant(name=CLONING.name, changes=(*CLONING.changes, "iterations=600", "cloning.batch=32")),
+    Variant(  # as many updates as the clone has that the others start from
+        name=CLONING.name, changes=(*CLONING.changes, "iterations=60", "cloning.updates=20", "cloning.batch=32")
+    ),
     Variant(
         name="true reward from the clone",
         changes=(*FROM_CLONE, "rollout_batch=52", "algorithm=true_reward", "policy.entropy=0.006"),
