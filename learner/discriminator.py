@@ -85,7 +85,7 @@ class Discriminator:
         return round(self._rewards_used["service"] / max(sum(self._rewards_used.values()), 1), 4)
 
     def update(self, expert: Sequence[Example], rollouts: Sequence[Example], policy: PolicyNet) -> dict[str, float]:
-        """Gradient steps on samples of `expert`, `rollouts` and the other sources; then adds `rollouts` to the replay.
+        """Gradient steps on samples of `expert`, `rollouts` and other sources; then adds `rollouts` to a replay in use.
 
         Returns the losses and accuracies of the last step. `d_accuracy_SOURCE` is the fraction of that source's samples
         on the right side of D = 1/2.
@@ -100,7 +100,8 @@ class Discriminator:
                 self._metrics.discriminator_accuracy.labels(name.removeprefix(ACCURACY)).set(value)
         if (on_rollouts := stats.get(f"{ACCURACY}rollouts")) is not None:
             self.accuracy += ACCURACY_RATE * ((stats[ACCURACY + EXPERT] + on_rollouts) / 2 - self.accuracy)
-        self.replay.add(rollouts)
+        if self.config.replay:
+            self.replay.add(rollouts)
         return stats
 
     def rewards(self, rollouts: Sequence[Example], version: int) -> list[Tensor]:

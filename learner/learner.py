@@ -99,7 +99,8 @@ class Learner:
             self.config.policy.entropy, self.config.policy.final_entropy_fraction, progress
         )
         self.policy.frozen = step < self.config.policy.frozen_iterations
-        anneal(self.cloner, 1.0 if self.config.policy.cloning_updates else progress)
+        goes_on_cloning = self.config.policy.cloning_updates and ALGORITHMS[self.config.algorithm].uses_reward
+        anneal(self.cloner, 1.0 if goes_on_cloning else progress)
         anneal(self.soft_q, progress)
 
     def bc_warmup(self) -> Iterator[dict[str, float]]:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from giirl.run.folder import RunFolder
 from giirl.run.worlds import open_web_run, world_of
+from giirl.version import commit
 from giirl_core.config import Config
 from giirl_core.config_file import load_config
 from giirl_core.files import explain, write_json
@@ -45,7 +46,7 @@ def train(
         try:
             if checkpoint is None:
                 folder.clear()
-            result = world_of(config).train(config, folder, checkpoint, display or Display())
+            result = {**world_of(config).train(config, folder, checkpoint, display or Display()), "commit": commit()}
             write_json(folder.result, result)
         except OSError as error:
             if not folder.saved:

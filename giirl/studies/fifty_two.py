@@ -8,7 +8,7 @@ from typing import Any
 
 from giirl.studies.summary import mean_with_interval
 
-# Success of people (Liu et al. 2018), CC-Net (Humphreys et al. 2022, 2.4 million demonstrations and the true reward),
+# Success of people and CC-Net (Humphreys et al. 2022, 2.4 million demonstrations and the true reward),
 # WGE (Liu et al. 2018, one policy per task, 10 demonstrations and the true reward) and HTML-T5-XL (Gur et al. 2024,
 # 347,000 demonstrations). Tasks named -nodelay have the figures of the task with the delay.
 _TABLE = (importlib.resources.files(__package__) / "published.csv").read_text(encoding="utf-8")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
+import json
 import signal
 import subprocess
 import sys
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from giirl.run.folder import RunFolder
+from giirl.version import VERSION, commit
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.config_file import dump_config, load_config
@@ -21,7 +22,6 @@ from giirl_core.files import write_json
 from giirl_core.progress import Display
 
 POLL_S = 1.0
-VERSION = importlib.metadata.version("giirl")
 REWARD_EVAL = "reward_eval.json"  # in a run's folder: measures of its reward
 TRANSFER = "transfer.json"  # in a run's folder: success on tasks that it did not train on
 GOAL_SWAP_TASK, GOAL_SWAP_PAGES = "click-button", 500
@@ -55,6 +55,11 @@ class Planned:
     def done(self) -> bool:
         return RunFolder(self.folder).result.is_file()
 
+    @property
+    def commit(self) -> str:
+        """The commit of the code that a finished run was made with."""
+        return str(json.loads(RunFolder(self.folder).result.read_bytes()).get("commit", ""))
+
 
 def plan(base: Sequence[str], variants: Sequence[Variant], seeds: Sequence[int], root: Path) -> list[Planned]:
     """All runs of a study; a run that needs the reward of another one comes after it.
@@ -80,6 +85,9 @@ def run_all(runs: Sequence[Planned], *, jobs: int, display: Display) -> None:
     the same command resumes them.
     """
     waiting = list({run.folder: run for run in runs if not run.done}.values())
+    if others := {made for run in runs if run.done and (made := run.commit) != commit()}:
+        names = ", ".join(sorted(made or "an unknown commit" for made in others))
+        display.say(f"finished runs of other code are used again: {names}; delete their folders to run them with this")
     children: list[_Child] = []
     failed: list[str] = []
     with display.job(f"{len(waiting)} runs", sum(run.config.iterations for run in waiting)) as job:

@@ -12,7 +12,8 @@ import numpy as np
 
 from giirl.run.folder import RunFolder
 from giirl.statistics import STREAK, Score
-from giirl.studies.runner import REWARD_EVAL, TRANSFER, VERSION, Planned
+from giirl.studies.runner import REWARD_EVAL, TRANSFER, Planned
+from giirl.version import VERSION
 from giirl_core.config_file import changed
 
 LEVELS = (0.95, 0.99)  # success of STREAK episodes in a row

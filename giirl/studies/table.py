@@ -22,8 +22,7 @@ def study_table(title: str, result: dict[str, Any]) -> Table:
     table = Table("", Column("seeds", justify="right"), *(Column(task, justify="right") for task in tasks), title=title)
     for name, found in result["variants"].items():
         _add_variant(table, tasks, name, found)
-    random = {task: row["random"] for found in result["variants"].values() for task, row in found["tasks"].items()}
-    table.add_row("random", "", *(f"{100 * random[task]:.1f}" for task in tasks))
+    table.add_row("random", "", *(percent(_random(result["variants"], task)) for task in tasks))
     if set(tasks) & set(THESIS):
         table.add_row("thesis", "", *(f"{100 * THESIS[task]:.0f}" if task in THESIS else "-" for task in tasks))
     return table
@@ -39,10 +38,9 @@ def task_table(
     variants, published = result["variants"], published or {}
     sources = list(dict.fromkeys(source for row in published.values() for source in row))
     table = Table("task", *(Column(name, justify="right") for name in (*variants, "random", *sources)), title=title)
-    random: dict[str, float | None] = {}
+    random = {task: _random(variants, task) for task in tasks}
     for task in tasks:
         rows = [found["tasks"].get(task, {}) for found in variants.values()]
-        random[task] = next((row["random"] for row in rows if row.get("random") is not None), None)
         others = [published.get(task, {}).get(source) for source in sources]
         table.add_row(task, *map(percent, (*(row.get("success") for row in rows), random[task], *others)))
     means = [found["all_tasks"] for found in variants.values()]
@@ -51,6 +49,12 @@ def task_table(
     known = [[value for value in column if value is not None] for column in columns]
     table.add_row("mean", *cells, *(percent(fmean(values) if values else None) for values in known))
     return table
+
+
+def _random(variants: Mapping[str, Any], task: str) -> float | None:
+    """The random baseline of a task, from the first variant that has one."""
+    rows = (found["tasks"].get(task, {}) for found in variants.values())
+    return next((row["random"] for row in rows if row.get("random") is not None), None)
 
 
 def _add_variant(table: Table, tasks: list[str], name: str, found: dict[str, Any]) -> None:

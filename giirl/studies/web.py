@@ -117,6 +117,11 @@ FOLLOWERS = (
 )
 
 
+def _with_budget(variant: Variant, budget: int) -> Variant:
+    """The variant with at most `budget` demonstrations of each task."""
+    return Variant(name=f"{variant.name}, {budget}", changes=(*variant.changes, f"demos.per_task={budget}"))
+
+
 FROM_CLONE = (
     "policy.bc_warmup_updates=1200",
     "cloning.batch=32",
@@ -140,11 +145,7 @@ FIFTY_TWO = (
     Variant(name="blind replay", changes=(*CLONING.changes, "iterations=1", "evaluate.agent=replay")),
     Variant(name="giirl from nothing"),
 )
-FIFTY_TWO_FEW = tuple(
-    Variant(name=f"{variant.name}, {budget}", changes=(*variant.changes, f"demos.per_task={budget}"))
-    for budget in (8, 4, 16)
-    for variant in FIFTY_TWO[:2]
-)
+FIFTY_TWO_FEW = tuple(_with_budget(variant, budget) for budget in (8, 4, 16) for variant in FIFTY_TWO[:2])
 FIFTY_TWO_SETTINGS = (
     f"tasks={json.dumps(fifty_two.TASKS)}",
     f"demos.scripted_tasks={json.dumps(fifty_two.SCRIPTED)}",
@@ -177,11 +178,7 @@ class Study:
 
 
 def _budgets() -> tuple[Variant, ...]:
-    few = [
-        Variant(name=f"{variant.name}, {budget}", changes=(*variant.changes, f"demos.per_task={budget}"))
-        for budget in BUDGETS
-        for variant in (GIIRL, CLONING)
-    ]
+    few = [_with_budget(variant, budget) for budget in BUDGETS for variant in (GIIRL, CLONING)]
     noisy = [
         Variant(name=f"{variant.name}, {share:.0%} noise", changes=(*variant.changes, f"demos.noise_fraction={share}"))
         for share in NOISE_FRACTIONS
@@ -275,7 +272,7 @@ STUDIES = {
             Variant(name="giirl from the clone", changes=(*FROM_CLONE, f"rollout_batch={len(SCRIPTED_TASKS)}")),
             FIFTY_TWO[1],
         ),
-        settings=(f"tasks={json.dumps(SCRIPTED_TASKS)}", "step_limit=25"),
+        settings=("demos.source=scripted", f"tasks={json.dumps(SCRIPTED_TASKS)}", "step_limit=25"),
         pages=50,
     ),
     "nets": Study(title="Ablations of the nets, in policy and reward alike", variants=NETS, evaluates_reward=True),

@@ -102,6 +102,11 @@ class DiscriminatorConfig:
             raise ValueError(
                 "all sources of negatives have weight 0: wanted one above 0, rollouts=1 for plain Algorithm 1"
             )
+        if self.lr_schedule == "accuracy" and not self.rollouts:
+            raise ValueError(
+                "discriminator.lr_schedule is 'accuracy' and discriminator.rollouts is 0: wanted rollouts above 0, "
+                "whose accuracy is meant, or lr_schedule=linear"
+            )
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -132,12 +137,14 @@ class PolicyConfig:
     bc_warmup_updates: Annotated[int, Field(ge=0)] = 0
     """Updates of behavioural cloning before the first rollout. Their learning rate falls linearly. [updates]"""
     frozen_iterations: Annotated[int, Field(ge=0)] = 0
-    """Iterations at the start in which the policy stays as it is: only its value and the discriminator are trained."""
+    """Iterations at the start in which the policy follows no reward: its value and the discriminator are trained, and
+    the policy goes on cloning if `cloning_updates` says so."""
     prior: Literal["uniform", "clone"] = "uniform"
     """Policy that the trained one stays close to, with weight `entropy`: the uniform policy (entropy), or the policy
     after `bc_warmup_updates` (KL divergence). With "clone" the discriminator begins with the encoder of that policy."""
     cloning_updates: Annotated[int, Field(ge=0)] = 0
-    """Updates of behavioural cloning after each policy update, at the last learning rate of cloning. [updates]"""
+    """Updates of behavioural cloning after each policy update, at the last learning rate of cloning. Algorithms without
+    a reward ignore it. [updates]"""
 
     def __post_init__(self) -> None:
         if self.prior == "clone" and not self.bc_warmup_updates:

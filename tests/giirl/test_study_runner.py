@@ -18,6 +18,8 @@ from giirl.studies.runner import Variant, evaluate_rewards, measure_transfer, pl
 from giirl.studies.summary import pooled, record, summary
 from giirl.studies.table import study_table
 from giirl.studies.web import STUDIES, base_settings
+from giirl.version import commit
+from giirl_core.config_file import load_config
 from giirl_core.files import write_json
 from giirl_core.progress import Display
 from tests.giirl.small import SETTINGS
@@ -75,6 +77,25 @@ def test_runs_are_done_once_and_a_failed_one_does_not_stop_the_others(
     )  # three for each variant, two for the reward, the random baseline, the thesis
 
 
+def test_a_finished_run_of_other_code_is_used_again_and_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = plan(SETTINGS, VARIANTS[:1], [0, 1], tmp_path)
+    for run, made in zip(runs, (commit(), "abc1234"), strict=True):
+        run.folder.mkdir()
+        write_json(RunFolder(run.folder).result, {"commit": made})
+    run_all(runs, jobs=1, display=Display())
+    assert "finished runs of other code are used again: abc1234;" in capsys.readouterr().err
+    run_all(runs[:1], jobs=1, display=Display())
+    assert "other code" not in capsys.readouterr().err
+
+
+def test_scripted_tasks_take_no_recordings() -> None:
+    study = STUDIES["scripted-tasks"]
+    config = load_config(None, [*base_settings(study, Path("recordings")), *study.variants[0].changes])
+    assert config.demos.source == "scripted"
+
+
 def record_of(variant: str, seed: int, successes: list[int]) -> dict[str, Any]:
     """A record of a run on one task, with a short curve."""
     share = sum(successes) / len(successes)
@@ -84,6 +105,15 @@ def record_of(variant: str, seed: int, successes: list[int]) -> dict[str, Any]:
         for step in range(1, 6)
     ]
     return {"variant": variant, "seed": seed, "tasks": {"click-it": task}, "curve": curve}
+
+
+def test_a_task_without_random_pages_has_a_dash_in_their_row() -> None:
+    run = {**record_of("a", 0, [1, 0]), "lowest_last_third": {}, "settings": [], "seconds": 1, "env_steps": 1}
+    never: dict[str, dict[str, None]] = {"0.95": {"click-it": None}}
+    run |= {"episodes_to": never, "env_steps_to": never, "demonstrations": {}}
+    run["tasks"]["click-it"] |= {"random": None, "random_episodes": 0}
+    table = study_table("test", summary("test", [run]))
+    assert [[*column.cells][-1] for column in table.columns] == ["random", "", "-"]
 
 
 def test_seeds_are_pooled_with_the_interval_of_all_their_episodes() -> None:

@@ -248,6 +248,22 @@ def test_the_accuracy_schedule_lowers_the_rate_from_accuracy_1_to_one_half() -> 
         assert learner.discriminator.optimiser.param_groups[0]["lr"] == pytest.approx(rate)
 
 
+@pytest.mark.parametrize(("algorithm", "rate"), [("giirl", 0.2), ("true_reward", 0.2), ("cloning", 0.6)])
+def test_who_goes_on_cloning_does_so_at_the_last_rate_and_cloning_itself_keeps_its_schedule(
+    algorithm: str, rate: float
+) -> None:
+    config = Config(
+        algorithm=algorithm,
+        iterations=101,
+        net=NetConfig(width=16, vectors="hashed"),
+        policy=PolicyConfig(cloning_updates=1),
+        cloning=CloningConfig(learning_rate=1.0, final_lr_fraction=0.2),
+    )
+    learner = Learner(config, [episode.trajectory for episode in expert_episodes(1)], Metrics())
+    learner.anneal(50)
+    assert learner.cloner.optimiser.param_groups[0]["lr"] == pytest.approx(rate)
+
+
 def test_learning_rates_and_entropy_decay_linearly() -> None:
     demonstrations = [episode.trajectory for episode in expert_episodes(1)]
     config = Config(

@@ -56,6 +56,16 @@ def test_the_plain_thesis_form_has_two_sources_and_the_default_six(demonstration
         assert sources(stats) == wanted
 
 
+@pytest.mark.parametrize(("weight", "kept"), [(0.0, 0), (0.1, 4)])
+def test_rollouts_are_kept_for_replay_only_if_they_are_replayed(
+    demonstrations: list[Trajectory], weight: float, kept: int
+) -> None:
+    learner = make_learner(demonstrations, replace(SMALL, replay=weight))
+    rollouts = learner.featurise(scored(demonstrations[:4], 0))
+    learner.discriminator.update(learner.demos.sample(16), rollouts, learner.policy.net)
+    assert len(learner.replay.examples) == kept
+
+
 @pytest.mark.parametrize("weight", [0.0, 0.1])
 def test_without_rollouts_among_its_sources_it_never_sees_the_pages_of_the_policy(
     weight: float, demonstrations: list[Trajectory]
