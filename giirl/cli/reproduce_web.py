@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -64,11 +65,19 @@ def _command(name: str, study: Study) -> click.Command:
     )
     @click.option("--jobs", type=click.IntRange(1), default=2, show_default=True, help="Runs at the same time.")
     @click.option("--set", "changes", multiple=True, metavar="KEY=VALUE", help="For all runs; may be given again.")
+    @click.option("--variant", "variants", multiple=True, help="Only this part of the study; may be given again.")
     @JSON
     def command(
-        demos: Path | None, seeds: int, first_seed: int, jobs: int, changes: tuple[str, ...], json_file: Path | None
+        demos: Path | None,
+        seeds: int,
+        first_seed: int,
+        jobs: int,
+        changes: tuple[str, ...],
+        variants: tuple[str, ...],
+        json_file: Path | None,
     ) -> None:
-        _reproduce(name, study, demos, range(first_seed, first_seed + seeds), jobs, changes, json_file)
+        part = replace(study, variants=study.only(variants))
+        _reproduce(name, part, demos, range(first_seed, first_seed + seeds), jobs, changes, json_file)
 
     return command
 
@@ -84,7 +93,7 @@ def _reproduce(
 ) -> None:
     """Run what is missing of a study, then write and print its result.
 
-    Several runs use the serial runtime, one process each. A single run has the machine to itself and uses `local`.
+    Several runs use the serial runtime, one process each. A study of one run has the machine to itself and uses `local`.
     """
     from giirl.studies.fifty_two import PUBLISHED, TASKS, fifty_two
     from giirl.studies.runner import evaluate_rewards, measure_transfer, plan, run_all
@@ -93,7 +102,7 @@ def _reproduce(
 
     _check_seeds(name, study, seeds)
     display, since_s = Display(), time.monotonic()
-    alone = len(seeds) * len(study.variants) == 1
+    alone = len(seeds) * len(STUDIES[name].variants) == 1
     base = (*base_settings(study, demos), f"runtime={'local' if alone else 'serial'}", *changes)
     runs = plan(base, study.variants, seeds, ROOT)
     ROOT.mkdir(parents=True, exist_ok=True)
@@ -108,8 +117,9 @@ def _reproduce(
     result = summary(name, [record(run, evaluates_reward=study.evaluates_reward) for run in runs])
     if alone:
         result["wall_seconds"] = round(time.monotonic() - since_s, 1)
-    if study.compares_published:
-        result = {**result, **fifty_two(result, study.variants[0].name, study.variants[1].name)}
+    compared = [variant.name for variant in STUDIES[name].variants[:2]]
+    if study.compares_published and result["variants"].keys() >= {*compared}:
+        result = {**result, **fifty_two(result, *compared)}
         table = task_table(study.title, TASKS, result, PUBLISHED)
     else:
         table = study_table(study.title, result)

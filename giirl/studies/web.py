@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -175,6 +176,17 @@ class Study:
     evaluates_reward: bool = False  # measure whether each learned reward depends on the goal
     tuning: bool = False  # used to choose settings, on the seeds for tuning
     compares_published: bool = False  # of fifty-two tasks: the first variant, beside the second, which is cloning
+
+    def only(self, names: Sequence[str]) -> tuple[Variant, ...]:
+        """The variants of these names, all without names. ValueError if one is unknown or needs another's reward."""
+        if unknown := set(names) - {variant.name for variant in self.variants}:
+            wanted = ", ".join(repr(variant.name) for variant in self.variants)
+            raise ValueError(f"variant {min(unknown)!r}: wanted one of {wanted}")
+        chosen = tuple(variant for variant in self.variants if variant.name in names or not names)
+        for variant in chosen:
+            if variant.reward_of and variant.reward_of not in {other.name for other in chosen}:
+                raise ValueError(f"variant {variant.name!r} trains on the reward of {variant.reward_of!r}: wanted both")
+        return chosen
 
 
 def _budgets() -> tuple[Variant, ...]:

@@ -90,6 +90,17 @@ def test_a_finished_run_of_other_code_is_used_again_and_named(
     assert "other code" not in capsys.readouterr().err
 
 
+def test_a_part_of_a_study_has_the_named_variants_in_the_order_of_the_study() -> None:
+    study = STUDIES["frozen"]
+    assert study.only(()) == study.variants
+    names = ("true reward", "giirl")
+    assert [variant.name for variant in study.only(names)] == ["giirl", "true reward"]
+    with pytest.raises(ValueError, match=r"variant 'girl': wanted one of 'giirl', 'cloning', "):
+        study.only(("girl",))
+    with pytest.raises(ValueError, match=r"variant 'fresh policy, frozen reward' .* reward of 'giirl': wanted both"):
+        study.only(("fresh policy, frozen reward",))
+
+
 def test_scripted_tasks_take_no_recordings() -> None:
     study = STUDIES["scripted-tasks"]
     config = load_config(None, [*base_settings(study, Path("recordings")), *study.variants[0].changes])
