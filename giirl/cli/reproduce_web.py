@@ -93,7 +93,7 @@ def _reproduce(
 ) -> None:
     """Run what is missing of a study, then write and print its result.
 
-    Several runs use the serial runtime, one process each. A study of one run has the machine to itself and uses `local`.
+    Several runs use the serial runtime, one process each. The run of a study that has only one uses `local`.
     """
     from giirl.studies.fifty_two import PUBLISHED, TASKS, fifty_two
     from giirl.studies.runner import evaluate_rewards, measure_transfer, plan, run_all
