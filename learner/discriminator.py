@@ -85,7 +85,7 @@ class Discriminator:
         return round(self._rewards_used["service"] / max(sum(self._rewards_used.values()), 1), 4)
 
     def update(self, expert: Sequence[Example], rollouts: Sequence[Example], policy: PolicyNet) -> dict[str, float]:
-        """Gradient steps on samples of `expert`, `rollouts` and other sources; then adds `rollouts` to a replay in use.
+        """Gradient steps on samples of `expert`, `rollouts` and the other sources, which older rollouts may be among.
 
         Returns the losses and accuracies of the last step. `d_accuracy_SOURCE` is the fraction of that source's samples
         on the right side of D = 1/2.

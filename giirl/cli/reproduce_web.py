@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from giirl.cli.options import DEMOS, JSON, OutputFolder, save_and_show, seeds
+from giirl.studies.runner import Variant
 from giirl.studies.web import STUDIES, Study, base_settings
 from giirl_core.files import explain, folder_lock, writable
 from giirl_core.progress import Display
@@ -76,8 +76,9 @@ def _command(name: str, study: Study) -> click.Command:
         variants: tuple[str, ...],
         json_file: Path | None,
     ) -> None:
-        part = replace(study, variants=study.only(variants))
-        _reproduce(name, part, demos, range(first_seed, first_seed + seeds), jobs, changes, json_file)
+        _reproduce(
+            name, study, study.only(variants), demos, range(first_seed, first_seed + seeds), jobs, changes, json_file
+        )
 
     return command
 
@@ -85,13 +86,14 @@ def _command(name: str, study: Study) -> click.Command:
 def _reproduce(
     name: str,
     study: Study,
+    variants: Sequence[Variant],
     demos: Path | None,
     seeds: Sequence[int],
     jobs: int,
     changes: Sequence[str],
     json_file: Path | None,
 ) -> None:
-    """Run what is missing of a study, then write and print its result.
+    """Run what is missing of these variants of a study, then write and print their result.
 
     Several runs use the serial runtime, one process each. The run of a study that has only one uses `local`.
     """
@@ -102,9 +104,9 @@ def _reproduce(
 
     _check_seeds(name, study, seeds)
     display, since_s = Display(), time.monotonic()
-    alone = len(seeds) * len(STUDIES[name].variants) == 1
+    alone = len(seeds) * len(study.variants) == 1
     base = (*base_settings(study, demos), f"runtime={'local' if alone else 'serial'}", *changes)
-    runs = plan(base, study.variants, seeds, ROOT)
+    runs = plan(base, variants, seeds, ROOT)
     ROOT.mkdir(parents=True, exist_ok=True)
     json_path = json_file or ROOT / f"{name}.json"
     picture = json_path.with_name(f"{json_path.name.removesuffix('.json')}.png")
@@ -117,7 +119,7 @@ def _reproduce(
     result = summary(name, [record(run, evaluates_reward=study.evaluates_reward) for run in runs])
     if alone:
         result["wall_seconds"] = round(time.monotonic() - since_s, 1)
-    compared = [variant.name for variant in STUDIES[name].variants[:2]]
+    compared = [variant.name for variant in study.variants[:2]]
     if study.compares_published and result["variants"].keys() >= {*compared}:
         result = {**result, **fifty_two(result, *compared)}
         table = task_table(study.title, TASKS, result, PUBLISHED)

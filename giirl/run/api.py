@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 from giirl.run.folder import RunFolder
 from giirl.run.worlds import open_web_run, world_of
-from giirl.version import commit
 from giirl_core.config import Config
 from giirl_core.config_file import load_config
 from giirl_core.files import explain, write_json
 from giirl_core.progress import Display
+from giirl_core.telemetry.version import commit
 from giirl_core.types import Action, Goal, Observation, Page
 
 if TYPE_CHECKING:
@@ -46,7 +46,8 @@ def train(
         try:
             if checkpoint is None:
                 folder.clear()
-            result = {**world_of(config).train(config, folder, checkpoint, display or Display()), "commit": commit()}
+            made_by = commit()  # before the files change
+            result = world_of(config).train(config, folder, checkpoint, display or Display()) | {"commit": made_by}
             write_json(folder.result, result)
         except OSError as error:
             if not folder.saved:

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from giirl.run.folder import RunFolder
-from giirl.version import VERSION, commit
 from giirl_core.algorithms import ALGORITHMS
 from giirl_core.config import Config
 from giirl_core.config_file import dump_config, load_config
 from giirl_core.files import write_json
 from giirl_core.progress import Display
+from giirl_core.telemetry.version import VERSION, commit
 
 POLL_S = 1.0
 REWARD_EVAL = "reward_eval.json"  # in a run's folder: measures of its reward
@@ -56,7 +56,7 @@ class Planned:
         return RunFolder(self.folder).result.is_file()
 
     @property
-    def commit(self) -> str:
+    def made_by(self) -> str:
         """The commit of the code that a finished run was made with."""
         return str(json.loads(RunFolder(self.folder).result.read_bytes()).get("commit", ""))
 
@@ -85,7 +85,7 @@ def run_all(runs: Sequence[Planned], *, jobs: int, display: Display) -> None:
     the same command resumes them.
     """
     waiting = list({run.folder: run for run in runs if not run.done}.values())
-    if others := {made for run in runs if run.done and (made := run.commit) != commit()}:
+    if others := {made for run in runs if run.done and (made := run.made_by) != commit()}:
         names = ", ".join(sorted(made or "an unknown commit" for made in others))
         display.say(f"finished runs of other code are used again: {names}; delete their folders to run them with this")
     children: list[_Child] = []

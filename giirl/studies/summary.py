@@ -13,8 +13,8 @@ import numpy as np
 from giirl.run.folder import RunFolder
 from giirl.statistics import STREAK, Score
 from giirl.studies.runner import REWARD_EVAL, TRANSFER, Planned
-from giirl.version import VERSION
 from giirl_core.config_file import changed
+from giirl_core.telemetry.version import VERSION
 
 LEVELS = (0.95, 0.99)  # success of STREAK episodes in a row
 MAX_POINTS = 60  # of a learning curve in a record

@@ -7,8 +7,6 @@ with the actor. Prometheus adds the labels `run`, `process` and `node` when it s
 
 from __future__ import annotations
 
-import importlib.metadata
-import os
 from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Literal, TypeVar, get_args
@@ -22,6 +20,7 @@ from giirl_core.telemetry.prometheus import (
     choose_encoder,
     disable_created_metrics,
 )
+from giirl_core.telemetry.version import REVISION, VERSION
 
 LEARNER, ACTOR, SERVICE = KINDS = ("learner", "actor", "reward-service")
 LAG_BUCKETS = (0, 1, 2, 3, 4, 6, 8, 12, 16)  # versions
@@ -75,7 +74,7 @@ class Series:
     def _define_processes(self) -> None:
         ProcessCollector(registry=self.registry)
         self.build_info = self._gauge("giirl_build_info", "Version of the code.", KINDS, version=ANY, revision=ANY)
-        self.build_info.labels(importlib.metadata.version("giirl"), os.environ.get("GIIRL_REVISION", "unknown")).set(1)
+        self.build_info.labels(VERSION, REVISION or "unknown").set(1)
         self.waiting_seconds = self._counter(
             "giirl_waiting_seconds_total", "Time that threads spent waiting.", KINDS, reason=ANY
         )

@@ -18,10 +18,10 @@ from giirl.studies.runner import Variant, evaluate_rewards, measure_transfer, pl
 from giirl.studies.summary import pooled, record, summary
 from giirl.studies.table import study_table
 from giirl.studies.web import STUDIES, base_settings
-from giirl.version import commit
 from giirl_core.config_file import load_config
 from giirl_core.files import write_json
 from giirl_core.progress import Display
+from giirl_core.telemetry.version import commit
 from tests.giirl.small import SETTINGS
 
 VARIANTS = (
