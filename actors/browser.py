@@ -35,7 +35,7 @@ def open_browser(config: Config, metrics: Metrics, *, tabs: int = 0, headless: b
 
 
 class SlowBrowser:
-    """A browser whose steps take at least `delay_s`: simulates an application that responds slowly."""
+    """A browser whose steps take `delay_s` longer: simulates an application that responds slowly."""
 
     def __init__(self, browser: Browser, delay_s: float) -> None:
         self._browser, self._delay_s = browser, delay_s
@@ -51,11 +51,9 @@ class SlowBrowser:
         return self._browser.reset(episodes)
 
     def step(self, commands: Mapping[int, Command]) -> dict[int, StepResult]:
-        """One step of every tab; all respond at the same time."""
-        since_s = time.monotonic()
-        results = self._browser.step(commands)
-        time.sleep(max(0.0, self._delay_s - (time.monotonic() - since_s)))
-        return results
+        """One step of every tab, after the delay: all respond at the same time."""
+        time.sleep(self._delay_s)
+        return self._browser.step(commands)
 
     def screenshot(self, tab: int, box: tuple[float, float, float, float], *, scale: float = 1.0) -> bytes:
         """A screenshot, without a delay."""

@@ -18,6 +18,7 @@ from tests.end_to_end.commands import HTTP_TIMEOUT_S, LOOPBACK, Command
 
 PROGRAMS = Path(sys.executable).parent
 RAY = str(PROGRAMS / "ray")
+NODE = "127.0.0.2"  # Ray replaces 127.0.0.1 by the address of a network card, which may come and go
 
 
 @contextmanager
@@ -33,7 +34,7 @@ def ray_cluster() -> Iterator[tuple[Command, dict[str, str], dict[str, str]]]:
         "RAY_worker_niceness": "0",  # other programs must not starve the workers
     }
     words = [
-        *("start", "--head", "--block", "--disable-usage-stats", "--num-cpus=2", "--node-ip-address=127.0.0.1"),
+        *("start", "--head", "--block", "--disable-usage-stats", "--num-cpus=2", f"--node-ip-address={NODE}"),
         *(f"--port={port}", f"--dashboard-port={dashboard}", "--dashboard-host=127.0.0.1"),
         *(f"--dashboard-agent-listen-port={agent}", f"--ray-client-server-port={client}"),
         f"--object-store-memory={256 << 20}",
@@ -42,7 +43,7 @@ def ray_cluster() -> Iterator[tuple[Command, dict[str, str], dict[str, str]]]:
     job_env = {**env, "RAY_ADDRESS": f"http://127.0.0.1:{dashboard}", "RAY": RAY}
     with Command(*words, program=[RAY], env=head_env) as head:
         head.until(lambda: _accepts_jobs(job_env), "response of the dashboard")
-        yield head, job_env, {**env, "RAY_ADDRESS": f"127.0.0.1:{port}"}
+        yield head, job_env, {**env, "RAY_ADDRESS": f"{NODE}:{port}"}
 
 
 PROBE = """

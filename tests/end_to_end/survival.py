@@ -50,6 +50,7 @@ class Survival:
     healthy: dict[str, Sample] = field(default_factory=dict)  # process -> its metrics before any fault
     up: dict[str, float] | None = None  # process -> `up`, from a real Prometheus; None if it is not installed
     prometheus_env_steps: float = 0.0  # giirl_env_steps_total, from the same Prometheus
+    chrome_kills: int = 0
     after_chrome: Sample = field(default_factory=dict)  # of the actor whose Chrome was killed
     actors: list[int] = field(default_factory=list)  # pids of actor-0, before and after it was killed
     incarnations: list[int] = field(default_factory=list)  # of actor-0, in checkpoints before and after it was killed
@@ -100,19 +101,25 @@ def _observe_healthy(command: Command, survival: Survival) -> None:
 
 
 def _kill_chrome(command: Command, survival: Survival) -> None:
-    def recovered() -> bool:
-        survival.after_chrome = now = try_scrape(survival.run, "actor-0")
-        lost = total(now, "giirl_episodes_total", outcome="lost")  # given back once the new Chrome has started
-        return lost > 0 and total(now, "giirl_env_steps_total") > before + 20
+    """Kill Chrome until an episode was lost with it: at some moments none is open."""
 
-    before = total(try_scrape(survival.run, "actor-0"), "giirl_env_steps_total")
-    _chrome(_find(command, "ray::ActorProcess")).send_signal(signal.SIGKILL)
-    command.until(
-        lambda: total(try_scrape(survival.run, "actor-0"), "giirl_browser_recoveries_total", cause="browser_died") > 0,
-        "new Chrome",
-    )
-    before = total(try_scrape(survival.run, "actor-0"), "giirl_env_steps_total")
-    command.until(recovered, "steps in the new Chrome")
+    def count(name: str, **labels: str) -> float:
+        survival.after_chrome = try_scrape(survival.run, "actor-0")
+        return total(survival.after_chrome, name, **labels)
+
+    def recovered() -> bool:
+        return count("giirl_browser_recoveries_total", cause="browser_died") == survival.chrome_kills
+
+    def played() -> bool:  # the lost episodes are given back once the new Chrome has started
+        return count("giirl_env_steps_total") > before + 20
+
+    while not count("giirl_episodes_total", outcome="lost"):
+        assert survival.chrome_kills < 10, "no episode was lost with Chrome"
+        _chrome(_find(command, "ray::ActorProcess")).send_signal(signal.SIGKILL)
+        survival.chrome_kills += 1
+        command.until(recovered, "new Chrome")
+        before = count("giirl_env_steps_total")
+        command.until(played, "steps in the new Chrome")
 
 
 def _kill_actor(command: Command, survival: Survival) -> None:
