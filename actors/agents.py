@@ -23,7 +23,6 @@ from giirl_core.types import (
     NO_ELEMENT,
     NO_SPAN,
     Action,
-    EpisodeSpec,
     Goal,
     Observation,
     Page,
@@ -151,17 +150,9 @@ class ReplayAgent:
 
     def __init__(self, demonstrations: Sequence[Trajectory]) -> None:
         self._demonstrations = demonstrations
-        self._playing: dict[EpisodeSpec, _Repeated] = {}
 
     def select_actions(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]:
-        self._playing = {one.episode: self._repeated(one) for one in observations}  # an episode is in every call
-        return [Decision(self._playing[one.episode].act(one.page), 0.0, DEMONSTRATION) for one in observations]
-
-    def _repeated(self, observation: Observation) -> _Repeated:
-        known = self._playing.get(observation.episode)
-        if known is None or known.first_page == observation.page:  # an episode that was lost begins again
-            return _Repeated(observation.page, self._nearest(observation))
-        return known
+        return [Decision(_repeat(self._nearest(one), one), 0.0, DEMONSTRATION) for one in observations]
 
     def _nearest(self, observation: Observation) -> Trajectory:
         """ValueError for a task without demonstrations."""
@@ -172,23 +163,14 @@ class ReplayAgent:
         return max(own, key=lambda one: len(words & _words(one.goal)) / len(words | _words(one.goal)))
 
 
-@dataclass(slots=True)
-class _Repeated:
-    """A demonstration that is repeated in one episode, up to its step `t`."""
-
-    first_page: Page  # of the episode
-    demonstration: Trajectory
-    t: int = 0
-
-    def act(self, page: Page) -> Action:
-        """The next action of the demonstration, on this page."""
-        shown, t = self.demonstration, self.t
-        self.t += 1
-        if t >= len(shown):
-            return Action(verb=Verb.WAIT)
-        action = shown.actions[t]
-        element, to = (_most_alike(page, shown.pages[t], row) for row in (action.element, action.to))
-        return replace(action, element=element, to=to, start=NO_SPAN, end=NO_SPAN, literal=action.text(shown.goal))
+def _repeat(shown: Trajectory, observation: Observation) -> Action:
+    """The action of a demonstration at this step of an episode, on its page; after the last one, to wait."""
+    page, t = observation.page, observation.step
+    if t >= len(shown):
+        return Action(verb=Verb.WAIT)
+    action = shown.actions[t]
+    element, to = (_most_alike(page, shown.pages[t], row) for row in (action.element, action.to))
+    return replace(action, element=element, to=to, start=NO_SPAN, end=NO_SPAN, literal=action.text(shown.goal))
 
 
 def _words(goal: Goal) -> set[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -191,7 +191,8 @@ def _commands(slots: Mapping[int, Slot], agent: Agent, step_limit: int, may_foll
     playable = {tab: slot for tab, slot in slots.items() if slot.observation.page.leaf.any()}
     if playable:
         uniform = np.stack([slot.rng.random((agent.draws, 3), dtype=np.float32) for slot in playable.values()])
-        decisions = agent.select_actions([slot.observation for slot in playable.values()], uniform)
+        observations = [replace(slot.observation, step=len(slot.pages)) for slot in playable.values()]
+        decisions = agent.select_actions(observations, uniform)
         for (tab, slot), decision in zip(playable.items(), decisions, strict=True):
             commands[tab] = _command(slot, decision, step_limit, following[tab])
     return commands

@@ -18,7 +18,7 @@ from giirl_core.config.sections import SHOWN
 from giirl_core.gestures import Gesture, Takes, allowed_elements, read_gesture
 from giirl_core.nets.language import Vectors
 from giirl_core.nets.models import PolicyNet
-from giirl_core.types import NO_SPAN, Action, EpisodeSpec, Goal, Observation, Page, Trajectory
+from giirl_core.types import NO_SPAN, Action, Goal, Observation, Page, Trajectory
 
 EXPLORING = 0.5  # share of the episodes that follow a workflow; the policy plays the others
 MAX_TEXT = 60  # characters of an element's text that a step may ask for
@@ -107,16 +107,6 @@ def _arguments(step: Loosely, page: Page, goal: Goal) -> Iterator[tuple[int, int
         yield NO_SPAN, NO_SPAN
 
 
-@dataclass(slots=True)
-class _Exploring:
-    """An episode that follows a workflow up to its step `t`, or the policy where `workflow` is None."""
-
-    first_page: Page
-    workflow: Workflow | None
-    rng: np.random.Generator
-    t: int = 0
-
-
 class WorkflowAgent(PolicyAgent):
     """Explores as WGE does: in half of the episodes each action is a random one that a step of a workflow allows.
 
@@ -131,32 +121,27 @@ class WorkflowAgent(PolicyAgent):
             if one.gesture not in net.gestures:
                 raise ValueError(f"a workflow has the gesture {str(one.gesture)!r:.80}, which net.gestures lacks")
         self._workflows = workflows
-        self._playing: dict[EpisodeSpec, _Exploring] = {}
 
     def select_actions(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]:
         """See `Agent.select_actions`. The log-probability of an exploring action is that within its step."""
-        self._playing = {one.episode: self._exploring(one) for one in observations}  # an episode is in every call
         decisions = super().select_actions(observations, uniform)
         return [self._explore(one, decision) for one, decision in zip(observations, decisions, strict=True)]
 
-    def _exploring(self, observation: Observation) -> _Exploring:
-        known = self._playing.get(observation.episode)
-        if known is not None and known.first_page != observation.page:
-            return known
-        rng = np.random.default_rng([observation.episode.seed, 2])  # an episode that was lost begins again
+    def _steps(self, observation: Observation) -> tuple[tuple[Loosely, ...], ...]:
+        """The steps of the workflow that this episode follows; none if the policy plays it."""
+        rng = np.random.default_rng([observation.episode.seed, 2])
         own = [one for one in self._workflows if one.task == observation.episode.task]
         follows = bool(own) and rng.random() < EXPLORING
-        return _Exploring(observation.page, own[rng.integers(len(own))] if follows else None, rng)
+        return own[rng.integers(len(own))].steps if follows else ()
 
     def _explore(self, observation: Observation, decision: Decision) -> Decision:
-        playing = self._playing[observation.episode]
-        steps = playing.workflow.steps if playing.workflow is not None else ()
-        if playing.t >= len(steps):
+        steps, t = self._steps(observation), observation.step
+        if t >= len(steps):
             return decision
-        loosely = steps[playing.t][playing.rng.integers(len(steps[playing.t]))]
-        playing.t += 1
+        rng = np.random.default_rng([observation.episode.seed, 3, t])
+        loosely = steps[t][rng.integers(len(steps[t]))]
         allowed = allowed_choices(loosely, observation.page, observation.goal, self.net.gestures)
         if not allowed:
             return decision
-        action = action_of(allowed[playing.rng.integers(len(allowed))], observation.page, self.net.gestures)
+        action = action_of(allowed[rng.integers(len(allowed))], observation.page, self.net.gestures)
         return Decision(action, -math.log(len(allowed)), self.version)

@@ -87,6 +87,7 @@ class Observation:
     episode: EpisodeSpec
     page: Page
     goal: Goal
+    step: int = 0  # of the episode: the number of actions taken before
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -97,12 +98,10 @@ def test_blind_replay_repeats_the_demonstration_with_the_nearest_instruction() -
         episodes(FakeFarm(tabs=1), ReplayAgent([]), 1)
 
 
-def test_a_replay_that_is_lost_begins_again() -> None:
+def test_a_replay_goes_on_where_a_page_does_not_change_and_waits_after_its_end() -> None:
     farm = FakeFarm(tabs=1)
-    (first,) = farm.reset({0: EpisodeSpec(task="enter-text", seed=1)}).values()
-    demonstration = episodes(farm, ExpertAgent(expert), 1)
-    agent = ReplayAgent([one.trajectory for one in demonstration])
-    uniform = np.zeros((1, 1, 3), dtype=np.float32)
-    once, again = (agent.select_actions([first], uniform)[0].action for _ in range(2))
-    assert once == again
-    assert once.verb is Verb.TYPE
+    (page,) = farm.reset({0: EpisodeSpec(task="enter-text", seed=1)}).values()
+    (demonstration,) = episodes(farm, ExpertAgent(expert), 1, tasks=["enter-text"])
+    seen = [replace(page, step=step) for step in (0, 1, 0, 2)]  # an episode that is lost begins again at 0
+    decisions = ReplayAgent([demonstration.trajectory]).select_actions(seen, np.zeros((4, 1, 3), dtype=np.float32))
+    assert [one.action.verb for one in decisions] == [Verb.TYPE, Verb.CLICK, Verb.TYPE, Verb.WAIT]

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from actors.agents import ExpertAgent
-from actors.workflows import Loosely, WorkflowAgent, allowed_choices, read_workflow, read_workflows, workflow_of
+from actors.workflows import (
+    Loosely,
+    Workflow,
+    WorkflowAgent,
+    allowed_choices,
+    read_workflow,
+    read_workflows,
+    workflow_of,
+)
 from browser_farm.experts import expert
 from browser_farm.fake import FakeFarm
 from giirl_core.choices import action_of
-from giirl_core.gestures import BASIC, CLICK
-from giirl_core.types import DEMONSTRATION, Trajectory
+from giirl_core.gestures import BASIC, CLICK, TYPE_WORDS
+from giirl_core.types import DEMONSTRATION, EpisodeSpec, Trajectory, Verb
 from tests.actors.test_rollouts import episodes
 from tests.learner.samples import policy, vectors
 
@@ -81,3 +92,15 @@ def test_exploration_with_workflows_finds_what_the_policy_alone_does_not() -> No
         assert all(one.trajectory.policy_version != DEMONSTRATION for one in played)
         won.append(sum(one.outcome.success for one in played))
     assert won[0] < 5 < won[1] < 60
+
+
+def test_exploration_goes_on_where_a_page_does_not_change() -> None:
+    (page,) = FakeFarm(tabs=1).reset({0: EpisodeSpec(task="enter-text", seed=1)}).values()
+    twice = Workflow("enter-text", ((Loosely(CLICK, "tag", "button"),), (Loosely(TYPE_WORDS, "any"),)))
+    agent = WorkflowAgent(policy(), vectors(), [twice])
+    for seed in range(20):  # half of the episodes follow the workflow
+        seen = [replace(page, episode=EpisodeSpec(task="enter-text", seed=seed), step=step) for step in (0, 1)]
+        first, second = agent.select_actions(seen, np.zeros((2, 1, 3), dtype=np.float32))
+        if first.logp == 0.0:  # the only button
+            break
+    assert (first.action.verb, second.action.verb) == (Verb.CLICK, Verb.TYPE)
