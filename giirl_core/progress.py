@@ -63,7 +63,12 @@ class Job:
         self._task_id = bar.add_task(title, total=total, completed=done, note="") if bar else None
 
     def advance(self, count: int = 1, note: str = "") -> None:
-        """Report `count` more finished units; `note` is shown next to the progress."""
+        """Report `count` more finished units; `note` is shown next to the progress.
+
+        The time until the first unit is in no estimate, if 0 units are reported meanwhile: it may be a start.
+        """
+        if self._done == self._begun and not count:
+            self._begun_s = time.monotonic()
         self._done += count
         if self._bar is not None and self._task_id is not None:
             self._bar.update(self._task_id, completed=self._done, note=note)

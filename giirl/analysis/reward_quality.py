@@ -122,8 +122,8 @@ def uses(judged: Sequence[Attempt]) -> dict[str, float]:
 
 def quality_table(found: dict[str, Any]) -> Table:
     """A row for each task, and one for all."""
-    verdicts = ("precision", "recall", "npv", "sure", "sure_precision", "sure_npv")
-    names = (*verdicts, "best_of_n", "swapped_goal", "greedy", "best_attempt", "likeliest", "oracle")
+    verdicts = ("precision", "recall", "f1", "npv", "sure", "sure_precision", "sure_npv")
+    names = (*verdicts, "best_of_n", "pairwise", "mrr", "swapped_goal", "greedy", *USES)
     table = Table("task", *(Column(name.replace("_", " "), justify="right") for name in names), title="reward, %")
     for task, row in [*found["tasks"].items(), ("all", found["all"])]:
         table.add_row(task, *(percent(row[name]) for name in names))
@@ -177,7 +177,13 @@ def _judge(model: RewardModel, episodes: Sequence[Episode]) -> list[Attempt]:
 
 def _step_measures(model: RewardModel, won: Sequence[Trajectory], seed: int) -> dict[str, Any]:
     """The action of every step against random others; steps on pages with too few other actions are left out."""
-    ranks = [rank for i in range(0, len(won), BATCH) for rank in _ranks(model, won[i : i + BATCH], seed + i)]
+    return step_measures(
+        [rank for i in range(0, len(won), BATCH) for rank in _ranks(model, won[i : i + BATCH], seed + i)]
+    )
+
+
+def step_measures(ranks: Sequence[int]) -> dict[str, Any]:
+    """The measures of steps, from the rank of each; None without steps."""
     return {
         "steps": len(ranks),
         "best_of_n": fmean(rank == 1 for rank in ranks) if ranks else None,
@@ -197,12 +203,21 @@ def _ranks(model: RewardModel, won: Sequence[Trajectory], seed: int) -> list[int
     model.net.eval()
     logits = model.net(batch.to(model.device), join(taken, drawn).to(model.device)).cpu().numpy()
     other = (drawn.table() != taken.table()).any(2).numpy()
-    ranks = []
-    for own, drawn_logits, differs in zip(logits[:, 0], logits[:, 1:], other, strict=True):
-        negatives = drawn_logits[differs][:NEGATIVES]
-        if len(negatives) == NEGATIVES:
-            ranks.append(1 + int((negatives >= own).sum()))
-    return ranks
+    return ranks(logits, other)
+
+
+def ranks(logits: NDArray[np.float32], other: NDArray[np.bool_]) -> list[int]:
+    """The rank, from 1, of each step's action among itself and its first NEGATIVES others; ties count against it.
+
+    `logits` [T, 1 + DRAWS] are those of the action and of random ones, and `other` [T, DRAWS] says which of these are
+    not the action itself. Steps with fewer others are left out.
+    """
+    drawn = [row[differs][:NEGATIVES] for row, differs in zip(logits[:, 1:], other, strict=True)]
+    return [
+        1 + int((negatives >= own).sum())
+        for own, negatives in zip(logits[:, 0], drawn, strict=True)
+        if len(negatives) == NEGATIVES
+    ]
 
 
 def _share(part: int, whole: int) -> float | None:

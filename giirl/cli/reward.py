@@ -12,8 +12,10 @@ from giirl.cli.report import say_written
 from giirl.run.folder import RunFolder
 from giirl.run.worlds import open_web_run, world_of
 from giirl_core.config import Config
+from giirl_core.config_file import changed, differences
 from giirl_core.files import writable
 from giirl_core.progress import Display
+from giirl_core.telemetry.version import commit
 
 
 @click.group()
@@ -82,10 +84,15 @@ def measure(run: Path, pages: int, attempts: int, player: Path | None, json_file
 
     _, config = open_web_run(run)
     folder, other = open_web_run(player or run)
-    if other.net != config.net:
-        raise ValueError(f"{player} has another net than {run}: wanted a policy with the same settings of `net`")
-    policy = folder.weights(folder.latest_checkpoint(), "policy")
-    found = reward_quality(config, reward_of_run(run), policy, pages, attempts, Metrics(), Display())
+    if unlike := [key for key in differences(config, other) if key.startswith("net.")]:
+        raise ValueError(f"{player} has another net than {run}: wanted a policy with the same {', '.join(unlike)}")
+    policy, weights = folder.weights(folder.latest_checkpoint(), "policy"), reward_of_run(run)
+    found = reward_quality(config, weights, policy, pages, attempts, Metrics(), Display())
+    found["settings"] |= {
+        "commit": commit(),
+        "reward": {"run": str(run), "version": weights.version, "settings": changed(config)},
+        "policy": {"run": str(player or run), "version": policy.version, "settings": changed(other)},
+    }
     save_and_show(json_file, found, quality_table(found))
 
 

@@ -98,7 +98,7 @@ def run_all(runs: Sequence[Planned], *, jobs: int, display: Display) -> None:
                     children.append(_Child(run))
                 time.sleep(POLL_S)
                 for child in list(children):
-                    job.advance(child.progress(), child.name)
+                    job.advance(child.progress(), child.note())
                     if child.process.poll() is None:
                         continue
                     children.remove(child)
@@ -141,6 +141,10 @@ class _Child:
         steps = len(self._folder.points())
         new, self._steps = steps - self._steps, steps
         return new
+
+    def note(self) -> str:
+        """What it is doing: before its first iteration, what it printed last."""
+        return self.name if self._steps else f"{self.name}: {self.last_line()}"
 
     def last_line(self) -> str:
         """The last line of its output, or its exit status."""

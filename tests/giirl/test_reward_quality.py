@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from actors.agents import FurtherAttempt, RandomAgent
-from giirl.analysis.reward_quality import NEGATIVES, Attempt, outcome_measures, uses
+from giirl.analysis.reward_quality import Attempt, outcome_measures, ranks, step_measures, uses
 from tests.command import Command
 from tests.giirl.small import run
 from tests.learner.samples import expert_episodes
@@ -63,6 +63,29 @@ def test_what_has_nothing_to_divide_by_is_none() -> None:
     assert outcome_measures([])["episodes"] == 0
 
 
+def test_a_step_is_ranked_among_the_first_four_other_actions_and_ties_count_against_it() -> None:
+    same, other = False, True
+    logits = np.array(
+        [
+            [3.0, 2.0, 1.0, 0.0, -1.0, 9.0],  # the fifth is not looked at
+            [0.0, 0.0, 1.0, -1.0, -2.0, -3.0],  # a tie and a better one
+            [0.0, 0.0, 1.0, 2.0, 3.0, 4.0],  # the first is the action itself
+            [0.0, 1.0, 1.0, 1.0, 1.0, 1.0],  # too few others
+        ],
+        dtype=np.float32,
+    )
+    differs = np.array([[other] * 5, [other] * 5, [same, *[other] * 4], [same, same, *[other] * 3]])
+    assert ranks(logits, differs) == [1, 3, 5]
+    found = step_measures([1, 3, 5])
+    assert found == {
+        "steps": 3,
+        "best_of_n": pytest.approx(1 / 3),
+        "pairwise": pytest.approx(0.5),
+        "mrr": pytest.approx((1 + 1 / 3 + 1 / 5) / 3),
+    }
+    assert step_measures([]) == {"steps": 0, "best_of_n": None, "pairwise": None, "mrr": None}
+
+
 def test_the_preferred_attempt_is_compared_with_one_and_with_the_best() -> None:
     assert uses([*JUDGED[1:], attempt(2, won=True, lowest=-3.0, logp=-1.0), attempt(1, won=False, lowest=-9.0)]) == {
         "sampled": pytest.approx(3 / 7),
@@ -96,8 +119,11 @@ def test_the_command_measures_every_task_of_a_run(giirl: Command, tmp_path: Path
     for row in found["tasks"].values():
         assert row["pages"] == 3
         assert row["sampled"] <= row["oracle"]
-        assert row["best_of_n"] is None or row["pairwise"] <= 1 - (1 - row["best_of_n"]) / NEGATIVES
+        assert row["best_of_n"] is None or row["best_of_n"] <= row["mrr"] <= row["pairwise"] * 0.8 + 0.2
     assert "oracle" in done.out
+    made_by = found["settings"]["reward"]
+    assert (made_by["run"], made_by["version"]) == (str(tmp_path / "run"), 1)
+    assert "iterations=1" in made_by["settings"]
 
 
 def test_the_policy_of_another_run_plays_if_its_net_is_the_same(giirl: Command, tmp_path: Path) -> None:
@@ -107,7 +133,9 @@ def test_the_policy_of_another_run_plays_if_its_net_is_the_same(giirl: Command, 
     few = ("reward", "measure", tmp_path / "run", "--pages", "2", "--attempts", "1")
     own, other = tmp_path / "own.json", tmp_path / "other.json"
     assert giirl(*few, "--json", own).status == giirl(*few, "--policy", tmp_path / "other", "--json", other).status == 0
-    assert own.read_bytes() != other.read_bytes()
+    first, second = (json.loads(file.read_text(encoding="utf-8")) for file in (own, other))
+    assert first["tasks"] != second["tasks"]
+    assert second["settings"]["policy"]["run"] == str(tmp_path / "other")
     refused = giirl(*few, "--policy", tmp_path / "wide")
     assert refused.status != 0
-    assert "another net" in refused.error
+    assert "wanted a policy with the same net.width" in refused.error

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 import torch
 
-from giirl.analysis.goal_sensitivity import goal_steps, measure, sensitivity
+from giirl.analysis.goal_sensitivity import GoalStep, goal_steps, measure, sensitivity
 from giirl.run.folder import RunFolder
 from giirl.run.serial import SerialRuntime
 from giirl.run.train import reward_of_run
@@ -20,7 +21,7 @@ from giirl_core.metrics import Metrics
 from giirl_core.nets.models import RewardNet
 from giirl_core.nets.reward import RewardModel
 from giirl_core.progress import Display
-from giirl_core.types import Action, Episode, Trajectory, Verb, is_held_out
+from giirl_core.types import Action, Episode, Goal, Trajectory, Verb, is_held_out
 from learner.checkpoint import latest_checkpoint
 from learner.learner import Learner
 from tests.giirl.small import run
@@ -149,7 +150,6 @@ def test_sensitivity_is_measured_for_tasks_with_several_goals_and_its_control_is
     assert set(found) == {"click-button", "enter-text"}
     for row in found.values():
         assert row["pairs"] >= 20
-        assert 0.0 <= row["auc"] <= 1.0
         assert row["shuffled"] == pytest.approx(0.5, abs=0.2)
         assert not {"trained_goals", "held_out_goals"} & set(row)
     apart = sensitivity(
@@ -173,4 +173,21 @@ def test_the_steps_that_depend_on_the_goal_type_its_words_or_act_on_what_it_name
     goals = ('Enter Bea and press "Ok".', "Enter Ada twice.")
     steps = [step for goal in goals for step in goal_steps(samples.trajectory(goal, [shown] * 4, actions))]
     assert [step.action for step in steps] == [words, actions[2], words]
-    assert 0 <= measure(model, steps, 0)["auc"] <= 1
+    assert measure(model, steps, 0)["pairs"] == 3
+
+
+@pytest.mark.parametrize(("reward", "auc"), [(1.0, 1.0), (0.0, 0.5), (-1.0, 0.0)])
+def test_sensitivity_is_how_often_the_own_goal_has_the_higher_reward(reward: float, auc: float) -> None:
+    shown = samples.page("input_text", "t:Ada", "button:Ok")
+    typing = Action(verb=Verb.TYPE, element=0, start=1, end=1)
+    goals = [Goal(f"Enter {name}.") for name in ("Ada", "Bea", "Cyd")]
+    steps = [GoalStep(shown, typing, goal) for goal in goals]
+
+    class Stub:
+        """A reward that is not 0 under the own goal."""
+
+        def score_pairs(self, pages: Any, actions: Any, given: Sequence[Goal]) -> torch.Tensor:
+            return torch.tensor([reward * (one == own) for one, own in zip(given, goals, strict=True)])
+
+    found = measure(cast(RewardModel, Stub()), steps, 0)
+    assert found == {"auc": auc, "shuffled": 0.5, "pairs": 3, "goals": 3}

@@ -16,12 +16,15 @@ def test_a_line_of_progress_has_a_time_stamp_the_rest_of_the_time_and_the_note(
     now_s = [1000.0]
     monkeypatch.setattr("giirl_core.progress.time.monotonic", lambda: now_s[0])
     with Display().job("training", 300, done=100) as job:
+        now_s[0] += 500.0
+        job.advance(0, "behavioural cloning 3/9")  # the rate is that of what follows
         now_s[0] += 60.0
         job.advance(20, "success click-test 74 %")
         job.advance(180)
-    first, middle, end = capfd.readouterr().err.splitlines()
+    first, start, middle, end = capfd.readouterr().err.splitlines()
     assert first == "training ..."
     stamp = r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d"
+    assert re.fullmatch(rf"{stamp} training 100/300  behavioural cloning 3/9", start)
     assert re.fullmatch(rf"{stamp} training 120/300, 9:00 left  success click-test 74 %", middle)
     assert re.fullmatch(rf"{stamp} training 300/300  ", end)
 
