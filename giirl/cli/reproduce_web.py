@@ -116,12 +116,12 @@ def _reproduce(
         if study.evaluates_reward:
             evaluate_rewards(runs, display)
         measure_transfer(runs, display)
-    result = summary(name, [record(run, evaluates_reward=study.evaluates_reward) for run in runs])
+    records = [record(run, evaluates_reward=study.evaluates_reward) for run in runs]
+    result = summary(name, records, left_out=[variant.name for variant in study.variants if variant not in variants])
     if alone:
         result["wall_seconds"] = round(time.monotonic() - since_s, 1)
-    compared = [variant.name for variant in study.variants[:2]]
-    if study.compares_published and result["variants"].keys() >= {*compared}:
-        result = {**result, **fifty_two(result, *compared)}
+    if study.compared is not None and set(study.compared) <= set(variants):
+        result = {**result, **fifty_two(result, *(variant.name for variant in study.compared))}
         table = task_table(study.title, TASKS, result, PUBLISHED)
     else:
         table = study_table(study.title, result)

@@ -42,16 +42,17 @@ def record(run: Planned, *, evaluates_reward: bool = False) -> dict[str, Any]:
     }
 
 
-def summary(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """The result of a study: numbers of each variant, then all records. A single variant also has them at the top.
+def summary(name: str, runs: list[dict[str, Any]], *, left_out: Sequence[str] = ()) -> dict[str, Any]:
+    """The result of a study: numbers of each variant, then all records.
 
-    Intervals are over pages, given these seeds; `worst_seed` is the success of the worst seed.
+    The numbers of a study of one variant are also at the top; those of a part, without the variants `left_out`, are
+    not. Intervals are over pages, given these seeds; `worst_seed` is the success of the worst seed.
     """
     variants: dict[str, dict[str, Any]] = {}
     for variant in dict.fromkeys(run["variant"] for run in runs):
         variants[variant] = _variant([run for run in runs if run["variant"] == variant])
-    head = {}
-    if len(variants) == 1:
+    head: dict[str, Any] = {"variants_left_out": list(left_out)} if left_out else {}
+    if len(variants) == 1 and not left_out:
         head = {
             "tasks": variants[runs[0]["variant"]]["tasks"],
             "seconds": max(run["seconds"] for run in runs),

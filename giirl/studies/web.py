@@ -70,7 +70,7 @@ BASELINES = (
     Q_LEARNING,
     WGE,
 )
-TUNED = (  # variant, setting, and the values that were tried on tuning seeds
+TUNED = (  # variant, setting, and the values to try on tuning seeds
     ("giirl", "policy.entropy", (0.15, 0.03)),
     ("plain Algorithm 1", "policy.entropy", (0.15, 0.03, 0.006)),
     ("GAIL", "policy.entropy", (0.15, 0.03, 0.006)),
@@ -134,19 +134,18 @@ FROM_CLONE = (
     "discriminator.replay=0",
     "iterations=120",
 )
+GIIRL_FROM_CLONE = Variant(name="giirl from the clone", changes=(*FROM_CLONE, "rollout_batch=52"))
+LONG_CLONING = Variant(  # as many updates as the clone has that the others start from
+    name=CLONING.name, changes=(*CLONING.changes, "iterations=60", "cloning.updates=20", "cloning.batch=32")
+)
+COMPARED = (GIIRL_FROM_CLONE, LONG_CLONING)
 FIFTY_TWO = (
-    Variant(name="giirl from the clone", changes=(*FROM_CLONE, "rollout_batch=52")),
-    Variant(  # as many updates as the clone has that the others start from
-        name=CLONING.name, changes=(*CLONING.changes, "iterations=60", "cloning.updates=20", "cloning.batch=32")
-    ),
-    Variant(
-        name="true reward from the clone",
-        changes=(*FROM_CLONE, "rollout_batch=52", "algorithm=true_reward", "policy.entropy=0.006"),
-    ),
+    *COMPARED,
+    Variant(name="true reward from the clone", changes=(*GIIRL_FROM_CLONE.changes, *TRUE_REWARD.changes)),
     Variant(name="blind replay", changes=(*CLONING.changes, "iterations=1", "evaluate.agent=replay")),
     Variant(name="giirl from nothing"),
 )
-FIFTY_TWO_FEW = tuple(_with_budget(variant, budget) for budget in (8, 4, 16) for variant in FIFTY_TWO[:2])
+FIFTY_TWO_FEW = tuple(_with_budget(variant, budget) for budget in (4, 8, 16) for variant in COMPARED)
 FIFTY_TWO_SETTINGS = (
     f"tasks={json.dumps(fifty_two.TASKS)}",
     f"demos.scripted_tasks={json.dumps(fifty_two.SCRIPTED)}",
@@ -175,7 +174,7 @@ class Study:
     curves: bool = False  # draw success against environment steps
     evaluates_reward: bool = False  # measure whether each learned reward depends on the goal
     tuning: bool = False  # used to choose settings, on the seeds for tuning
-    compares_published: bool = False  # of fifty-two tasks: the first variant, beside the second, which is cloning
+    compared: tuple[Variant, Variant] | None = None  # of fifty-two tasks: GIIRL and cloning, beside published results
 
     def only(self, names: Sequence[str]) -> tuple[Variant, ...]:
         """The variants of these names, all without names. ValueError if one is unknown or needs another's reward."""
@@ -270,19 +269,18 @@ STUDIES = {
         title="Fifty-two tasks, one policy and one reward",
         variants=FIFTY_TWO,
         settings=FIFTY_TWO_SETTINGS,
-        compares_published=True,
+        compared=COMPARED,
     ),
     "fifty-two-few": Study(
         title="Fifty-two tasks from few demonstrations",
         variants=FIFTY_TWO_FEW,
         settings=FIFTY_TWO_SETTINGS,
-        compares_published=True,
     ),
     "scripted-tasks": Study(
         title="All tasks with a scripted expert that the nets can follow, one policy and one reward",
         variants=(
             Variant(name="giirl from the clone", changes=(*FROM_CLONE, f"rollout_batch={len(SCRIPTED_TASKS)}")),
-            FIFTY_TWO[1],
+            LONG_CLONING,
         ),
         settings=("demos.source=scripted", f"tasks={json.dumps(SCRIPTED_TASKS)}", "step_limit=25"),
         pages=50,

@@ -131,6 +131,11 @@ class Config:
                 raise ValueError(
                     f"policy.{name} is {value!r} and world 'gridcraft': wanted {name}={wanted}, or world=miniwob"
                 )
+        if self.algorithm == "cloning" and self.policy.bc_warmup_updates:
+            raise ValueError(
+                f"algorithm is 'cloning', which clones in every iteration, and policy.bc_warmup_updates "
+                f"{self.policy.bc_warmup_updates}: wanted bc_warmup_updates=0 and policy.prior=uniform"
+            )
         lock_step = self.stream.policy_lag == 0 and self.runtime != "serial"
         if lock_step and self.held_out_goals:
             raise ValueError(

@@ -118,13 +118,17 @@ def record_of(variant: str, seed: int, successes: list[int]) -> dict[str, Any]:
     return {"variant": variant, "seed": seed, "tasks": {"click-it": task}, "curve": curve}
 
 
-def test_a_task_without_random_pages_has_a_dash_in_their_row() -> None:
+def test_a_part_of_a_study_is_marked_and_a_task_without_random_pages_has_a_dash() -> None:
     run = {**record_of("a", 0, [1, 0]), "lowest_last_third": {}, "settings": [], "seconds": 1, "env_steps": 1}
     never: dict[str, dict[str, None]] = {"0.95": {"click-it": None}}
     run |= {"episodes_to": never, "env_steps_to": never, "demonstrations": {}}
     run["tasks"]["click-it"] |= {"random": None, "random_episodes": 0}
     table = study_table("test", summary("test", [run]))
     assert [[*column.cells][-1] for column in table.columns] == ["random", "", "-"]
+    whole, part = summary("test", [run]), summary("test", [run], left_out=["b"])
+    assert whole["tasks"] == part["variants"]["a"]["tasks"]
+    assert "tasks" not in part
+    assert part["variants_left_out"] == ["b"]
 
 
 def test_seeds_are_pooled_with_the_interval_of_all_their_episodes() -> None:

@@ -71,6 +71,11 @@ def test_a_start_from_a_clone_that_the_grid_does_not_know_is_an_error(start: str
         load_config(None, ["world=gridcraft", f"policy.{start}"])
 
 
+def test_a_start_from_a_clone_for_a_clone_is_an_error() -> None:
+    with pytest.raises(ValueError, match=r"policy\.bc_warmup_updates 9: wanted bc_warmup_updates=0 and policy"):
+        load_config(None, ["algorithm=cloning", "policy.bc_warmup_updates=9"])
+
+
 @pytest.mark.parametrize(("old", "new"), RENAMED.items())
 def test_an_old_key_is_an_error_that_names_the_new_key(old: str, new: str) -> None:
     assert old not in keys()
