@@ -159,7 +159,8 @@ class Discriminator:
             for name, first, last in zip(steps, firsts, firsts[1:], strict=False)
         }
         sources["policy_on_expert_states"] = config.policy_on_expert_states, slice(0, config.batch), POLICY
-        sources["random_actions"] = config.random_actions, slice(0, firsts[2], 2), RANDOM
+        every_other = slice(0, firsts[2], 2)  # of the pages of experts and of the newest rollouts
+        sources["random_actions"] = config.random_actions, every_other, RANDOM
         used = {name: source for name, source in sources.items() if source[0] and source[1].start < source[1].stop}
         return _Samples(batch.to(device), taken.to(device), by_policy.to(device), random.to(device), used)
 

@@ -23,7 +23,7 @@ def giirl(config: Config, learner: LearnerParts, source: Source, steps: Iterable
         d = discriminator.update(expert, rollouts, policy.net)  # binary logistic regression (eq. 3.2)
         rewards = discriminator.rewards(rollouts, version=step + 1)  # r(s, a | g) = log D - log(1 - D)
         p = policy.update(rollouts, rewards)  # policy optimisation (eq. 3.1)
-        keep_cloning(config, learner)
+        keep_cloning(config, learner)  # not in the thesis, and off by default: stay close to a cloned start
         observe(step, {**d, **p})
 
 

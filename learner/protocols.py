@@ -62,7 +62,7 @@ class CloningLearner(Protocol):
 
 
 class QLearner(Protocol):
-    """pi_theta trained on demonstrations and rollouts, without a reward."""
+    """pi_theta as a soft Q-function, trained on rollouts and, where it imitates, on demonstrations."""
 
     def update(self, expert: Batch, rollouts: Batch, /) -> Stats: ...
 
@@ -76,7 +76,7 @@ class ReplayBuffer(Protocol):
 
 
 class LearnerParts(Protocol):
-    """The parts of a learner that Algorithm 1 uses. The cloner is for the baseline of figure 4.8."""
+    """The parts of a learner that Algorithm 1 uses. The cloner keeps the policy close to a cloned start."""
 
     @property
     def demos(self) -> Demos: ...

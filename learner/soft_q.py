@@ -36,7 +36,7 @@ class SoftQ:
     def __init__(
         self,
         config: SoftQConfig,
-        form: str,  # "sqil", "iq_learn" or "q_learning"
+        form: str,  # "sqil", "iq_learn" or "q_learning"; a learner with another algorithm never updates it
         net: PolicyNet,
         replay: Replay,
         rng: np.random.Generator,

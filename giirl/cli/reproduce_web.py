@@ -53,7 +53,11 @@ def reproduce_all(context: click.Context, demos: Path | None, seeds: int, out: P
 
 
 def _command(name: str, study: Study) -> click.Command:
-    @click.command(name, help=f"{study.title}. Real Chrome, some minutes per run.")
+    @click.command(
+        name,
+        help=f"{study.title}. Real Chrome; a run takes minutes, one of many tasks up to three quarters of an hour.",
+        epilog=f"Variants: {', '.join(repr(variant.name) for variant in study.variants)}.",
+    )
     @DEMOS
     @seeds(1)
     @click.option(

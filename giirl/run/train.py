@@ -6,7 +6,7 @@ import json
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -149,7 +149,8 @@ class Session:
             self._runtime = open_runtime(config, self._folder, metrics, self._stop, resume, save)
         self._own_address = reachable(self._own_address, self._runtime.node)
         try:
-            with self._display.busy("starting actors and reward service"):
+            workers = config.runtime != "serial"
+            with self._display.busy("starting actors and reward service") if workers else nullcontext():
                 self._runtime.publish(*learner.weights())
             self._update_targets()
             if resume is None:

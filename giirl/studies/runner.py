@@ -52,6 +52,10 @@ class Planned:
     folder: Path
 
     @property
+    def name(self) -> str:
+        return f"{self.variant.name}, seed {self.seed}"
+
+    @property
     def done(self) -> bool:
         return RunFolder(self.folder).result.is_file()
 
@@ -85,9 +89,9 @@ def run_all(runs: Sequence[Planned], *, jobs: int, display: Display) -> None:
     the same command resumes them.
     """
     waiting = list({run.folder: run for run in runs if not run.done}.values())
-    if others := {made for run in runs if run.done and (made := run.made_by) != commit()}:
-        names = ", ".join(sorted(made or "an unknown commit" for made in others))
-        display.say(f"finished runs of other code are used again: {names}; delete their folders to run them with this")
+    for run in {run.folder: run for run in runs if run.done and run.made_by != commit()}.values():
+        made = run.made_by or "an unknown commit"
+        display.say(f"{run.name} is used again, made by other code ({made}); delete {run.folder} to run it with this")
     children: list[_Child] = []
     failed: list[str] = []
     with display.job(f"{len(waiting)} runs", sum(run.config.iterations for run in waiting)) as job:
@@ -120,7 +124,7 @@ class _Child:
     """A run in a process of its own; its output goes to a file next to its folder."""
 
     def __init__(self, run: Planned) -> None:
-        self.run, self.name = run, f"{run.variant.name}, seed {run.seed}"
+        self.run, self.name = run, run.name
         self._folder = RunFolder(run.folder)
         run.folder.parent.mkdir(parents=True, exist_ok=True)
         self._log = run.folder.with_suffix(".log")

@@ -85,7 +85,8 @@ def test_a_finished_run_of_other_code_is_used_again_and_named(
         run.folder.mkdir()
         write_json(RunFolder(run.folder).result, {"commit": made})
     run_all(runs, jobs=1, display=Display())
-    assert "finished runs of other code are used again: abc1234;" in capsys.readouterr().err
+    name, folder = f"{VARIANTS[0].name}, seed 1", runs[1].folder
+    assert f"{name} is used again, made by other code (abc1234); delete {folder} to" in capsys.readouterr().err
     run_all(runs[:1], jobs=1, display=Display())
     assert "other code" not in capsys.readouterr().err
 
