@@ -138,10 +138,12 @@ GIIRL_FROM_CLONE = Variant(name="giirl from the clone", changes=(*FROM_CLONE, "r
 LONG_CLONING = Variant(  # as many updates as the clone has that the others start from
     name=CLONING.name, changes=(*CLONING.changes, "iterations=60", "cloning.updates=20", "cloning.batch=32")
 )
+START_ALONE = ("iterations=1", "policy.frozen_iterations=1", "policy.cloning_updates=0")
 COMPARED = (GIIRL_FROM_CLONE, LONG_CLONING)
 FIFTY_TWO = (
     *COMPARED,
     Variant(name="true reward from the clone", changes=(*GIIRL_FROM_CLONE.changes, *TRUE_REWARD.changes)),
+    Variant(name="the clone it starts from", changes=(*GIIRL_FROM_CLONE.changes, *START_ALONE)),
     Variant(name="blind replay", changes=(*CLONING.changes, "iterations=1", "evaluate.agent=replay")),
     Variant(name="giirl from nothing"),
 )

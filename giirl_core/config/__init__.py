@@ -94,7 +94,8 @@ class Config:
     iterations: Positive = 300
     """Iterations of Algorithm 1. [iterations]"""
     rollout_batch: Positive = 32
-    """Episodes that each iteration takes from the actors. [episodes]"""
+    """Episodes that each iteration takes from the actors; `serial` takes equally many of each task, at least one.
+    [episodes]"""
     step_limit: Positive = 10
     """Longest episode. One that has not ended by then counts as failed. [actions]"""
     checkpoint_every: Positive = 50

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from actors.agents import ExpertAgent, PolicyAgent, RandomAgent, ReplayAgent
+from actors.agents import Decision, ExpertAgent, PolicyAgent, RandomAgent, ReplayAgent
 from browser_farm.experts import expert
 from browser_farm.fake import FakeFarm
 from giirl_core.nets.parameters import serialise_net
@@ -18,7 +20,7 @@ from giirl_core.types import (
     Observation,
     Verb,
 )
-from tests.actors.test_rollouts import episodes
+from tests.actors.test_rollouts import FirstLeafAgent, episodes
 from tests.learner.samples import SHORT, legal_actions, policy, vectors
 
 
@@ -105,3 +107,21 @@ def test_a_replay_goes_on_where_a_page_does_not_change_and_waits_after_its_end()
     seen = [replace(page, step=step) for step in (0, 1, 0, 2)]  # an episode that is lost begins again at 0
     decisions = ReplayAgent([demonstration.trajectory]).select_actions(seen, np.zeros((4, 1, 3), dtype=np.float32))
     assert [one.action.verb for one in decisions] == [Verb.TYPE, Verb.CLICK, Verb.TYPE, Verb.WAIT]
+
+
+class CountingAgent(FirstLeafAgent):
+    """Notes the steps of the episodes that it acts in."""
+
+    def __init__(self) -> None:
+        self.steps: dict[EpisodeSpec, list[int]] = {}
+
+    def select_actions(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]:
+        for observation in observations:
+            self.steps.setdefault(observation.episode, []).append(observation.step)
+        return super().select_actions(observations, uniform)
+
+
+def test_an_agent_sees_the_step_of_each_episode() -> None:
+    agent = CountingAgent()
+    episodes(FakeFarm(tabs=3), agent, 5, tasks=["enter-text"])
+    assert list(agent.steps.values()) == [list(range(5))] * 5

@@ -113,24 +113,6 @@ def content(episode: Episode) -> tuple[object, ...]:
     return t.task, t.seed, t.goal, t.actions, episode.outcome, [page.value for page in t.pages]
 
 
-class CountingAgent(FirstLeafAgent):
-    """Notes the steps of the episodes that it acts in."""
-
-    def __init__(self) -> None:
-        self.steps: dict[EpisodeSpec, list[int]] = {}
-
-    def select_actions(self, observations: Sequence[Observation], uniform: NDArray[np.float32]) -> list[Decision]:
-        for observation in observations:
-            self.steps.setdefault(observation.episode, []).append(observation.step)
-        return super().select_actions(observations, uniform)
-
-
-def test_an_agent_sees_the_step_of_each_episode() -> None:
-    agent = CountingAgent()
-    episodes(FakeFarm(tabs=3), agent, 5, tasks=["enter-text"])
-    assert list(agent.steps.values()) == [list(range(5))] * 5
-
-
 @pytest.mark.parametrize("tabs", [2, 3, 8])
 def test_every_episode_depends_on_its_seed_and_not_on_the_number_of_tabs(tabs: int) -> None:
     one = episodes(FakeFarm(tabs=1), PolicyAgent(policy(), vectors()), 6)
