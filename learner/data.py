@@ -131,12 +131,61 @@ class ExpertSampler:
             t = int(self._rng.integers(len(own)))
             if other == own.goal or _signature(own, t) in self._expert_actions[(own.task, other.utterance)]:
                 continue
-            choice = example.choices[t]
-            if self._gestures[choice.gesture].takes is Takes.WORDS:
-                start, end = other.find(own.actions[t].text(own.goal))
-                choice = choice._replace(start=start, end=end)
-            wrong.append(Step(self._featurise(example, t, other), choice))
+            wrong.append(self._under(example, t, other))
         return wrong
+
+    def wrong_steps(self, examples: Sequence[Example]) -> list[Step]:
+        """Expert steps made wrong by another step of their demonstration: at most one of each kind per example.
+
+        - What another step types, in the field of this one.
+        - The last action before its turn, on an earlier page that has its element.
+        - The last action in its turn, under a goal that asks for other steps before: the page is not what it should be.
+
+        They say what a demonstration alone does not: which words belong into which field, and when a task is done.
+        """
+        return [
+            step
+            for example in examples
+            for step in (self._other_words(example), self._too_early(example), self._not_done(example))
+            if step is not None
+        ]
+
+    def _other_words(self, example: Example) -> Step | None:
+        own = example.trajectory
+        typed = [t for t, choice in enumerate(example.choices) if self._gestures[choice.gesture].takes is Takes.WORDS]
+        if len(typed) < 2:
+            return None
+        here, there = self._rng.choice(typed, 2, replace=False).tolist()
+        if own.actions[here].text(own.goal) == own.actions[there].text(own.goal):
+            return None
+        other = example.choices[there]
+        return Step(example.features[here], example.choices[here]._replace(start=other.start, end=other.end))
+
+    def _too_early(self, example: Example) -> Step | None:
+        own, last = example.trajectory, len(example.trajectory) - 1
+        if not last or own.actions[last].element == NO_ELEMENT or own.actions[last].to != NO_ELEMENT:
+            return None
+        t = int(self._rng.integers(last))
+        rows = np.flatnonzero(own.pages[t].ref == own.pages[last].ref[own.actions[last].element])
+        if not len(rows) or _signature(own, last) in {_signature(own, k) for k in range(t, last)}:
+            return None
+        return Step(example.features[t], example.choices[last]._replace(element=int(rows[0])))
+
+    def _not_done(self, example: Example) -> Step | None:
+        own, last, goals = example.trajectory, len(example.trajectory) - 1, self._goals[example.trajectory.task]
+        other = goals[self._rng.integers(len(goals))]
+        right = self._expert_actions[own.task, other.utterance]
+        if all(_signature(own, t) in right for t in range(last)):
+            return None
+        return self._under(example, last, other)
+
+    def _under(self, example: Example, t: int, goal: Goal) -> Step:
+        """A step of an example under another goal, where it types the same words if the goal has them."""
+        own, choice = example.trajectory, example.choices[t]
+        if self._gestures[choice.gesture].takes is Takes.WORDS:
+            start, end = goal.find(own.actions[t].text(own.goal))
+            choice = choice._replace(start=start, end=end)
+        return Step(self._featurise(example, t, goal), choice)
 
 
 def _signature(trajectory: Trajectory, t: int) -> tuple[Verb, str, str]:

@@ -146,6 +146,7 @@ class Discriminator:
             "rollouts": self._newest_steps(rollouts) if config.rollouts else [],
             "replay": [pick(old, rng) for old in self.replay.sample(config.batch)] if config.replay else [],
             "wrong_goal": self.demos.wrong_goals(expert) if config.wrong_goal else [],
+            "wrong_step": self.demos.wrong_steps(expert) if config.wrong_step else [],
             "feedback": self._sample(self.marked_wrong) if config.feedback else [],
         }
         batch, taken = collate_steps([step for part in steps.values() for step in part])

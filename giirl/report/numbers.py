@@ -21,6 +21,7 @@ SOURCES = {
     "policy_on_expert_states": "policy actions in expert states",
     "random_actions": "random actions",
     "wrong_goal": "expert steps, wrong instruction",
+    "wrong_step": "expert steps, wrong words or time",
 }
 TITLES = {
     "d_loss": "Discriminator loss, nats",

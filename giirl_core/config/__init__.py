@@ -63,7 +63,13 @@ def _known_algorithm(name: str) -> str:
 Algorithm = Annotated[str, AfterValidator(_known_algorithm), Field(json_schema_extra={"enum": list(ALGORITHMS)})]
 
 
-CLONED_START = ("prior", "bc_warmup_updates", "frozen_iterations", "cloning_updates")  # of `policy`, on pages alone
+ON_PAGES_ALONE = (  # settings that the grid does not know
+    "policy.prior",
+    "policy.bc_warmup_updates",
+    "policy.frozen_iterations",
+    "policy.cloning_updates",
+    "discriminator.wrong_step",
+)
 
 
 @dataclass(config=STRICT, frozen=True, slots=True, kw_only=True)
@@ -126,12 +132,12 @@ class Config:
                 f"algorithm is {self.algorithm!r} and reward_from {self.reward_from!r}: "
                 "wanted reward_from=RUN with algorithm=frozen, and only with it"
             )
-        for name in CLONED_START if self.world == "gridcraft" else ():
-            value, wanted = (getattr(policy, name) for policy in (self.policy, PolicyConfig()))
+        for key in ON_PAGES_ALONE if self.world == "gridcraft" else ():
+            section, name = key.split(".")
+            own = getattr(self, section)
+            value, wanted = (getattr(one, name) for one in (own, type(own)()))
             if value != wanted:
-                raise ValueError(
-                    f"policy.{name} is {value!r} and world 'gridcraft': wanted {name}={wanted}, or world=miniwob"
-                )
+                raise ValueError(f"{key} is {value!r} and world 'gridcraft': wanted {name}={wanted}, or world=miniwob")
         if self.algorithm == "cloning" and self.policy.bc_warmup_updates:
             raise ValueError(
                 f"algorithm is 'cloning', which clones in every iteration, and policy.bc_warmup_updates "

@@ -50,8 +50,8 @@ class LearnerConfig:
 class DiscriminatorConfig:
     """Discriminator: logistic regression of expert against policy (Luo 2019, eq. 3.2).
 
-    `rollouts`, `replay`, `policy_on_expert_states`, `random_actions`, `wrong_goal` and `feedback` weigh the sources of
-    negative samples. Only their proportions matter. Plain Algorithm 1 has `rollouts` alone.
+    `rollouts`, `replay`, `policy_on_expert_states`, `random_actions`, `wrong_goal`, `wrong_step` and `feedback` weigh
+    the sources of negative samples. Only their proportions matter. Plain Algorithm 1 has `rollouts` alone.
     """
 
     reward: RewardForm = "logit"
@@ -88,6 +88,9 @@ class DiscriminatorConfig:
     [relative]"""
     wrong_goal: Weight = 0.25
     """Weight of expert steps under another instruction of the same task. [relative]"""
+    wrong_step: Weight = 0.0
+    """Weight of expert steps that another step of the same demonstration makes wrong: with its words, before its turn,
+    or after it under an instruction that asks for something else. [relative]"""
     feedback: Weight = 0.5
     """Weight of steps that people marked as wrong in `giirl feedback`. Without answers it has no effect. [relative]"""
     rename_prob: Share = 0.5
@@ -98,7 +101,8 @@ class DiscriminatorConfig:
     """Weight of the zero-centred gradient penalty on the encoded page; in the grid on the input."""
 
     def __post_init__(self) -> None:
-        if not self.rollouts + self.replay + self.policy_on_expert_states + self.random_actions + self.wrong_goal:
+        weights = (self.rollouts, self.replay, self.policy_on_expert_states, self.random_actions)
+        if not any((*weights, self.wrong_goal, self.wrong_step)):
             raise ValueError(
                 "all sources of negatives have weight 0: wanted one above 0, rollouts=1 for plain Algorithm 1"
             )

@@ -10,11 +10,12 @@ import pytest
 
 from giirl_core.gestures import BASIC, TYPE_WORDS
 from giirl_core.nets.features import featurise
-from giirl_core.types import Action, Episode, Outcome, Trajectory, Verb
+from giirl_core.types import NO_SPAN, Action, Episode, Outcome, Trajectory, Verb
 from learner.data import Example, ExpertSampler, Replay, Step, featurise_trajectory, with_env_reward
 from tests.learner.samples import FLAT, expert_episodes, page, trajectory, vectors
 
 NAMES = ("Ada", "Bertram", "Clotilde")
+NAME, PASSWORD = 3, 9  # words of the goal of `log_in`
 
 
 def demonstrations(per_task: int = 12) -> list[Trajectory]:
@@ -74,6 +75,42 @@ def test_an_action_that_experts_take_under_a_goal_is_no_negative_under_it() -> N
 def test_tasks_with_a_single_goal_give_no_wrong_goals() -> None:
     demos = sampler([episode for episode in demonstrations() if episode.task in ("click-test", "click-test-2")])
     assert demos.wrong_goals(demos.sample(100)) == []
+
+
+def log_in(name: str, password: str) -> Trajectory:
+    """A demonstration that types two texts into two fields, then presses Login."""
+    filled = [("", ""), (name, ""), (name, password)]
+    pages = [page("input_text", "input_password", "button:Login", value=(*texts, "")) for texts in filled]
+    goal = f'The name "{name}" and the password "{password}".'
+    typing = [Action(verb=Verb.TYPE, element=row, start=at, end=at) for row, at in ((0, NAME), (1, PASSWORD))]
+    return trajectory(goal, pages, [*typing, Action(verb=Verb.CLICK, element=2)], task="log-in")
+
+
+def test_a_step_is_wrong_with_the_words_of_another_too_early_or_before_the_page_is_done() -> None:
+    shown = [log_in("Ada", "abc"), log_in("Bea", "bcd")]
+    assert [action.text(shown[0].goal) for action in shown[0].actions[:2]] == ["Ada", "abc"]
+    demos = sampler(shown)
+    examples = demos.sample(60)
+    on_own_page = {id(row): t for example in examples for t, row in enumerate(example.features)}
+    found = Counter(
+        (on_own_page.get(id(step.features)), step.choice.element, step.choice.start)
+        for step in demos.wrong_steps(examples)
+    )
+    other_words, too_early = {(0, 0, PASSWORD), (1, 1, NAME)}, {(0, 2, NO_SPAN), (1, 2, NO_SPAN)}
+    not_done = {(None, 2, NO_SPAN)}  # the page of the other demonstration, with other texts in its fields
+    assert set(found) == other_words | too_early | not_done
+    assert sum(found[key] for key in other_words) == sum(found[key] for key in too_early) == 60
+    assert 15 < sum(found[key] for key in not_done) < 45
+
+
+def test_a_step_that_the_demonstration_takes_anyway_is_not_wrong() -> None:
+    twice = [Action(verb=Verb.CLICK, element=0)] * 2  # the last action is right before its turn too
+    same = log_in("Ada", "Ada")  # both fields have the same text
+    clicks = trajectory("Press the button twice.", [FLAT, FLAT], twice)
+    single = [episode for episode in demonstrations() if len(episode) == 1]
+    demos = sampler([same, clicks, *single])
+    wrong = demos.wrong_steps(demos.sample(200))
+    assert {(step.choice.element, len(step.features.element_flags)) for step in wrong} == {(2, 3)}  # Login, too early
 
 
 def test_tasks_are_sampled_equally_often_whatever_their_number_of_demonstrations() -> None:

@@ -47,6 +47,7 @@ def test_the_plain_thesis_form_has_two_sources_and_the_default_six(demonstration
     plain = replace(SMALL, replay=0.0, policy_on_expert_states=0.0, random_actions=0.0, wrong_goal=0.0)
     for config, wanted in (
         (plain, {EXPERT, "rollouts"}),
+        (replace(plain, wrong_step=1.0), {EXPERT, "rollouts", "wrong_step"}),
         (SMALL, {EXPERT, "rollouts", "replay", "policy_on_expert_states", "random_actions", "wrong_goal"}),
     ):
         learner = make_learner(demonstrations, config)
