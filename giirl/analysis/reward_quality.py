@@ -141,7 +141,7 @@ def _row(
     return {
         "pages": len(greedy),
         **outcome_measures(own),
-        **_step_measures(model, won, config.seed),
+        **_measure_steps(model, won, config.seed),
         "swapped_goal": swapped,
         "greedy": fmean(episode.outcome.success for episode in greedy) if greedy else None,
         **(uses(own) if own else dict.fromkeys(USES)),
@@ -175,10 +175,10 @@ def _judge(model: RewardModel, episodes: Sequence[Episode]) -> list[Attempt]:
     return judged
 
 
-def _step_measures(model: RewardModel, won: Sequence[Trajectory], seed: int) -> dict[str, Any]:
+def _measure_steps(model: RewardModel, won: Sequence[Trajectory], seed: int) -> dict[str, Any]:
     """The action of every step against random others; steps on pages with too few other actions are left out."""
     return step_measures(
-        [rank for i in range(0, len(won), BATCH) for rank in _ranks(model, won[i : i + BATCH], seed + i)]
+        [rank for i in range(0, len(won), BATCH) for rank in _rank_steps(model, won[i : i + BATCH], seed + i)]
     )
 
 
@@ -193,7 +193,7 @@ def step_measures(ranks: Sequence[int]) -> dict[str, Any]:
 
 
 @torch.no_grad()
-def _ranks(model: RewardModel, won: Sequence[Trajectory], seed: int) -> list[int]:
+def _rank_steps(model: RewardModel, won: Sequence[Trajectory], seed: int) -> list[int]:
     """The rank, from 1, of each step's action among itself and NEGATIVES others."""
     batch = collate([featurise(page, one.goal, model.vectors) for one in won for page in one.pages])
     gestures = model.net.gestures

@@ -140,7 +140,7 @@ class Config:
                 raise ValueError(f"{key} is {value!r} and world 'gridcraft': wanted {name}={wanted}, or world=miniwob")
         if self.algorithm == "cloning" and self.policy.bc_warmup_updates:
             raise ValueError(
-                f"algorithm is 'cloning', which clones in every iteration, and policy.bc_warmup_updates "
+                "algorithm is 'cloning', which clones in every iteration, and policy.bc_warmup_updates "
                 f"{self.policy.bc_warmup_updates}: wanted bc_warmup_updates=0 and policy.prior=uniform"
             )
         lock_step = self.stream.policy_lag == 0 and self.runtime != "serial"
