@@ -34,9 +34,9 @@ from giirl_core.weights import Weights
 BATCH = 64  # episodes that are scored at a time
 NEGATIVES = 4  # other legal actions that a step's action is compared with
 DRAWS = 12  # random actions that they are taken from: some are the action itself
-# The reward is sure that an episode is right if every step has more than SURE_RIGHT nats, and that it is wrong if the
-# last step has less than SURE_WRONG: an earlier mistake may have been undone. Chosen on tuning seed 100 of 52 tasks.
-SURE_RIGHT, SURE_WRONG = 0.6, -1.0
+# Chosen on tuning seeds 100 and 101 of the 52 tasks, in nats: of a step, its share that is left after each further one
+# when it is negative, since a mistake may be undone; of an episode, verdicts that are sure.
+UNDONE, SURE_RIGHT, SURE_WRONG = 0.6, 0.7, -2.0
 USES = ("sampled", "best_attempt", "likeliest", "oracle")  # ways to choose one of several attempts
 Array = NDArray[np.float64]
 
@@ -48,8 +48,7 @@ class Attempt:
     task: str
     seed: int
     won: bool
-    lowest: float  # reward of the step with the lowest one, less that of a step with D = 1/2
-    last: float  # of the last step, less the same
+    verdict: float  # above 0 if the reward calls it right: see `verdict`
     logp: float  # log-probability of its actions under the policy, nats
 
 
@@ -58,14 +57,14 @@ def reward_quality(
 ) -> dict[str, Any]:
     """Play `pages` pages of each task greedily, and `attempts` times by sampling, and judge all of it.
 
-    - Episodes: the reward calls an episode right if every step has D > 1/2. Precision, recall, F1 and
-      the negative predictive value (`npv`) against the page's verdict; `auc` needs no threshold. `sure_precision` and
-      `sure_npv` are of the episodes on which the reward does not abstain, which are the fraction `sure` of all.
+    - Episodes: the reward calls an episode right if every step has D > 1/2 (`verdict`). Precision, recall, F1 and the
+      negative predictive value (`npv`) against the page's verdict; `auc` needs no threshold. `sure_precision` and
+      `sure_npv` are of the episodes with a verdict above SURE_RIGHT or below SURE_WRONG, the fraction `sure` of all.
     - Steps of successful greedy episodes, against NEGATIVES random other legal actions on the same page: how often the
       action taken has the highest reward (`best_of_n`), how often it beats one of them (`pairwise`), and its mean
       reciprocal rank (`mrr`). Ties count against the reward. `swapped_goal` is the fraction of steps that depend on the
       goal with a higher reward under their own goal than under that of another page.
-    - In use: success of the attempt whose lowest reward is highest (`best_attempt`), beside that of the `greedy`
+    - In use: success of the attempt with the highest verdict (`best_attempt`), beside that of the `greedy`
       policy, of one attempt (`sampled`), of the attempt that the policy itself finds most likely (`likeliest`), and of
       the best attempt by the page's verdict (`oracle`).
     """
@@ -87,11 +86,9 @@ def reward_quality(
 def outcome_measures(judged: Sequence[Attempt]) -> dict[str, Any]:
     """How the reward's verdicts on episodes agree with the page's. None where there is nothing to divide by."""
     won = np.array([one.won for one in judged], dtype=bool)
-    lowest = np.array([one.lowest for one in judged])
-    last = np.array([one.last for one in judged])
-    called = lowest > 0
+    verdicts = np.array([one.verdict for one in judged])
+    called, right, wrong = verdicts > 0, verdicts > SURE_RIGHT, verdicts < SURE_WRONG
     both = int((won & called).sum())
-    right, wrong = lowest > SURE_RIGHT, last < SURE_WRONG
     precision, recall = _share(both, int(called.sum())), _share(both, int(won.sum()))
     return {
         "episodes": len(judged),
@@ -99,7 +96,7 @@ def outcome_measures(judged: Sequence[Attempt]) -> dict[str, Any]:
         "recall": recall,
         "f1": None if precision is None or recall is None else _share(2 * both, int(called.sum() + won.sum())),
         "npv": _share(int((~won & ~called).sum()), int((~called).sum())),
-        "auc": _auc(lowest[won], lowest[~won]),
+        "auc": _auc(verdicts[won], verdicts[~won]),
         "sure": _share(int((right | wrong).sum()), len(judged)),
         "sure_precision": _share(int((won & right).sum()), int(right.sum())),
         "sure_npv": _share(int((~won & wrong).sum()), int(wrong.sum())),
@@ -114,7 +111,7 @@ def uses(judged: Sequence[Attempt]) -> dict[str, float]:
     pages = by_page.values()
     return {
         "sampled": fmean(one.won for one in judged),
-        "best_attempt": fmean(max(tried, key=lambda one: one.lowest).won for tried in pages),
+        "best_attempt": fmean(max(tried, key=lambda one: one.verdict).won for tried in pages),
         "likeliest": fmean(max(tried, key=lambda one: one.logp).won for tried in pages),
         "oracle": fmean(any(one.won for one in tried) for tried in pages),
     }
@@ -155,6 +152,15 @@ def _mean(rows: Sequence[dict[str, Any]]) -> dict[str, float | None]:
     return {name: fmean(column) if column else None for name, column in columns.items()}
 
 
+def verdict(rewards: NDArray[np.floating[Any]]) -> float:
+    """The lowest of the rewards [T] of an episode, less that of a step with D = 1/2, where early mistakes count less.
+
+    A negative reward is multiplied with UNDONE for each step that follows it.
+    """
+    weights = np.where(rewards < 0, UNDONE ** np.arange(len(rewards) - 1, -1, -1), 1.0)
+    return float((rewards * weights).min())
+
+
 def _judge(model: RewardModel, episodes: Sequence[Episode]) -> list[Attempt]:
     even = float(reward_of(torch.zeros(1), model.form, model.clip))
     judged: list[Attempt] = []
@@ -166,8 +172,7 @@ def _judge(model: RewardModel, episodes: Sequence[Episode]) -> list[Attempt]:
                 task=e.trajectory.task,
                 seed=e.trajectory.seed,
                 won=e.outcome.success,
-                lowest=float(steps.min()) - even,
-                last=float(steps[-1]) - even,
+                verdict=verdict(steps - even),
                 logp=float(e.trajectory.behaviour_logp.sum()),
             )
             for e, steps in zip(part, rewards, strict=True)

@@ -17,6 +17,7 @@ from giirl_core.nets.layout import (
     COMPARED,
     COUNTS_FITTING,
     DISTANCE,
+    DONE,
     ELEMENT_FLAGS,
     EQUAL,
     FITS,
@@ -56,6 +57,7 @@ from giirl_core.types import Goal, Page
 # Matches of goal tokens, and the columns of their flags.
 _TOKEN_MATCHES = np.array([TEXT_WORD, VALUE_RUN, TEXT_RUN, KIND_WORD, LABEL_WORD, GROUP_RUN, SIMILAR])
 _TOKEN_COLUMNS = np.array([ON_PAGE, IN_VALUE, *range(TOKEN_MATCHES.start, TOKEN_MATCHES.stop)])
+_NAMES = np.isin(np.arange(MATCH_KINDS), (TEXT_RUN, LABEL_RUN, MOST_SIMILAR))  # [MATCH_KINDS] it names one element
 _PEER_MATCHES = np.array([TEXT_RUN, KIND_WORD, LABEL_RUN, GROUP_RUN])
 
 
@@ -79,7 +81,7 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
     flags = np.zeros((count, ELEMENT_FLAGS), dtype=np.float32)
     flags[:, :PAGE_FLAGS] = read.flags
     flags[:, FOCUSED], flags[:, TAMPERED] = page.focused, page.tampered
-    matches = match(read, text, flags)
+    matches = match(read, text, flags, vectors)
     rows, tokens = np.divmod(matches.ravel().nonzero()[0], len(text.exact))  # nonzero is slow in more dimensions
     elements, kinds = np.divmod(rows, MATCH_KINDS)
     match_counts = np.bincount(rows, minlength=count * MATCH_KINDS)
@@ -94,6 +96,8 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
     by_kind[kinds, tokens] = True
     token_flags = text.flags.copy()
     token_flags[:, _TOKEN_COLUMNS] = by_kind[_TOKEN_MATCHES].T
+    acted = page.tampered & read.structure.leaf
+    token_flags[tokens[acted[elements] & _NAMES[kinds]], DONE] = 1.0
     is_open = text.quoted | by_kind[TEXT_WORD] | by_kind[MOST_SIMILAR]
     return Features(
         token_ids=np.array((text.rows, is_open), dtype=np.int32).T,

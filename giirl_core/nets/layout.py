@@ -45,7 +45,10 @@ _NEXT = 30 + 2 * MATCH_KINDS
 TEXT_FOLDED = _NEXT  # the goal contains the whole text in any case
 WORD_FRACTION = _NEXT + 1  # fraction of the element's words that are in the goal
 PREFIX, SUFFIX = _NEXT + 2, _NEXT + 3  # its text begins or ends with a quoted word of the goal
-SIMILARITY, LABEL_SIMILARITY = _NEXT + 4, _NEXT + 5  # largest cosine of one of its, its label's words with the goal
+SIMILARITY, LABEL_SIMILARITY = (
+    _NEXT + 4,
+    _NEXT + 5,
+)  # how like its MOST_SIMILAR word it, its label is, to 2
 RANK_IN_GOAL = _NEXT + 6  # its rank is a number of the goal
 CALENDAR = slice(_NEXT + 7, _NEXT + 11)  # the page shows a month; it is the goal's; the goal's is later; is earlier
 FITS, COUNTS_FITTING = _NEXT + 11, _NEXT + 12  # a drawing as the goal describes; its text is the number of these
@@ -60,8 +63,8 @@ WORD, OPEN, TOKEN_IDS = 0, 1, 2
 # Columns of Features.token_flags: 3 on the page; 4 in a value; 6-10 in other matches (TOKEN_MATCHES).
 QUOTE, PUNCTUATION, CAPITAL, ON_PAGE, IN_VALUE, QUOTED = range(6)
 TOKEN_MATCHES = slice(6, 11)
-DIGIT, TOKEN_FLAGS = 11, 12
-TOKEN_OVERLAP = (ON_PAGE, IN_VALUE, *range(6, 11))
+DIGIT, DONE, TOKEN_FLAGS = 11, 12, 13  # DONE: an element that it matches was acted on
+TOKEN_OVERLAP = (ON_PAGE, IN_VALUE, *range(6, 11), DONE)
 
 TREE_RELATIONS = 11  # relations of two elements in the tree
 SCREEN_RELATIONS = 8  # relations of two elements on the screen

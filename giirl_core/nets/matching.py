@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from giirl_core.nets.language import Vectors
 from giirl_core.nets.layout import (
     ATTRIBUTE_RUN,
     GROUP_RUN,
@@ -28,13 +29,13 @@ from giirl_core.nets.page_features import PageFeatures
 from giirl_core.nets.reading import Floats, GoalText, Text, occurrences
 from giirl_core.nets.relations import NONE, Structure
 
-MIN_COSINE = 0.25  # of the most similar word of the page
-SIMILAR_COSINE = 0.5  # of similar words
+MIN_LIKENESS = 0.25  # of a word and the element that it matches alone
+SIMILAR_LIKENESS = 0.5  # of similar words
 
 Matches = NDArray[np.bool_]  # [E, MATCH_KINDS, L]
 
 
-def match(read: PageFeatures, goal: GoalText, flags: Floats) -> Matches:
+def match(read: PageFeatures, goal: GoalText, flags: Floats, vectors: Vectors) -> Matches:
     """[E, MATCH_KINDS, L] True where a word of the goal matches an element. Sets the columns of `flags` on texts.
 
     Runs are case-sensitive, single words are not.
@@ -62,7 +63,7 @@ def match(read: PageFeatures, goal: GoalText, flags: Floats) -> Matches:
     matches.ravel()[found] = True
     if goal.affixes:
         _mark_affixes(read, goal, flags)
-    _match_similar(matches, read, goal, flags)
+    _match_similar(matches, read, goal, flags, vectors)
     _match_labels(matches, read.structure, flags)
     _match_groups(matches, read.structure.group)
     return matches
@@ -76,24 +77,38 @@ def _run(goal: GoalText, text: Text, first: int) -> list[int]:
 
 def _mark_affixes(read: PageFeatures, goal: GoalText, flags: Floats) -> None:
     for e, element in enumerate(read.elements):
-        words = element.text.folded
+        words = element.text.folded or (() if element.value is None else element.value.folded)
         if words:
             flags[e, PREFIX], flags[e, SUFFIX] = words[0].startswith(goal.affixes), words[-1].endswith(goal.affixes[-1])
 
 
-def _match_similar(matches: Matches, read: PageFeatures, goal: GoalText, flags: Floats) -> None:
-    """Match goal words that are not on the page with similar words, by the cosine of their word vectors."""
-    if not len(read.with_words):
+def _match_similar(matches: Matches, read: PageFeatures, goal: GoalText, flags: Floats, vectors: Vectors) -> None:
+    """Match goal words that are not on the page with words of like meaning.
+
+    How like two words are is the cosine of their vectors, from 0, plus what WordNet says of their meanings. The
+    likeliest match is an element's only one and its word's only one (but for elements that are equally like), then the
+    likeliest of those that are left, and so on. An element whose whole text or label is in the goal needs none.
+    """
+    elements = read.with_words
+    if not len(elements):
         return
-    table = np.maximum(read.units @ goal.units.T, 0.0)
-    cosine = np.maximum.reduceat(table[read.unit], read.first_unit, axis=0)  # [R, L]
-    flags[read.with_words, SIMILARITY] = cosine.max(axis=1)
-    absent = ~matches[:, TEXT_WORD].any(axis=0)  # [L]
-    best = cosine.max(axis=0)
-    candidates = cosine * absent
-    mutual = (candidates == candidates.max(axis=1, keepdims=True)) & (cosine == best)
-    matches[read.with_words, MOST_SIMILAR] = mutual & (best > MIN_COSINE) & absent
-    matches[read.with_words, SIMILAR] = (cosine >= SIMILAR_COSINE) & absent
+    absent = np.flatnonzero(~matches[:, TEXT_WORD].any(axis=0) & goal.units.any(axis=1))
+    likeness = np.maximum(read.units @ goal.units.T, 0.0)
+    rows = goal.rows[absent].tolist()
+    likeness[:, absent] += [[vectors.kinship(row, other) for other in rows] for row in read.rows]
+    likeness = np.maximum.reduceat(likeness[read.unit], read.first_unit, axis=0)  # [R, L]
+    found = likeness[:, absent]
+    matches[elements[:, None], SIMILAR, absent] = found >= SIMILAR_LIKENESS
+    named: NDArray[np.bool_] = np.any(matches[:, TEXT_RUN], axis=1)
+    fields = read.structure.labelled
+    named[fields] |= named[read.structure.label[fields]]
+    open_ = found * ~named[elements, None]
+    while open_.size and (best := open_.max()) > MIN_LIKENESS:
+        word = int(open_.max(axis=0).argmax())
+        equal = open_[:, word] == best
+        matches[elements[equal], MOST_SIMILAR, absent[word]] = True
+        flags[elements[equal], SIMILARITY] = best
+        open_[equal] = open_[:, word] = 0.0
 
 
 def _match_labels(matches: Matches, structure: Structure, flags: Floats) -> None:

@@ -65,7 +65,8 @@ class PageFeatures:
     number: Floats  # [E] the number that the text or value is, nan for none
     drawings: dict[int, frozenset[str]]  # description of each drawing
     month: tuple[int | None, int] | None  # year and month, where the page shows one month
-    units: Floats  # [U, D] unit vectors of the words of the page
+    rows: tuple[int, ...]  # [U] rows of the vectors of the words of the page
+    units: Floats  # [U, D] their unit vectors
     unit: NDArray[np.int64]  # [W] rows of `units`: the words of each element, one element after the other
     with_words: NDArray[np.int64]  # [R] elements with at least one word
     first_unit: NDArray[np.int64]  # [R] index of the first word of each of these in `unit`
@@ -97,6 +98,7 @@ def _page_features(
     counts = np.array([len(rows) for rows in words], dtype=np.int64)
     with_words = np.flatnonzero(counts)
     unit: dict[int, int] = {}
+    places = np.array([unit.setdefault(row, len(unit)) for rows in words for row in rows], dtype=np.int64)
     return PageFeatures(
         ids=ids,
         flags=flags,
@@ -105,7 +107,8 @@ def _page_features(
         number=np.array([element.number for element in elements], dtype=np.float32),
         drawings=_drawings(elements, structure),
         month=_month(elements),
-        unit=np.array([unit.setdefault(row, len(unit)) for rows in words for row in rows], dtype=np.int64),
+        unit=places,
+        rows=tuple(unit),
         units=unit_vectors(unit, vectors),
         with_words=with_words,
         first_unit=(counts.cumsum() - counts)[with_words],

@@ -9,24 +9,23 @@ import numpy as np
 import pytest
 
 from actors.agents import FurtherAttempt, RandomAgent
-from giirl.analysis.reward_quality import Attempt, outcome_measures, ranks, step_measures, uses
+from giirl.analysis.reward_quality import Attempt, outcome_measures, ranks, step_measures, uses, verdict
 from tests.command import Command
 from tests.giirl.small import run
 from tests.learner.samples import expert_episodes
 
 
-def attempt(seed: int, won: bool, lowest: float, logp: float = 0.0, last: float | None = None) -> Attempt:
-    last = lowest if last is None else last
-    return Attempt(task="click-test", seed=seed, won=won, lowest=lowest, last=last, logp=logp)
+def attempt(seed: int, won: bool, verdict: float, logp: float = 0.0) -> Attempt:
+    return Attempt(task="click-test", seed=seed, won=won, verdict=verdict, logp=logp)
 
 
 JUDGED = [  # called right: three, of which two are
-    attempt(1, won=True, lowest=2.0),
-    attempt(1, won=True, lowest=1.0),
-    attempt(1, won=False, lowest=0.5),
-    attempt(2, won=True, lowest=-0.5),
-    attempt(2, won=False, lowest=-1.0),
-    attempt(2, won=False, lowest=-2.0),
+    attempt(1, won=True, verdict=2.0),
+    attempt(1, won=True, verdict=1.0),
+    attempt(1, won=False, verdict=0.5),
+    attempt(2, won=True, verdict=-0.5),
+    attempt(2, won=False, verdict=-1.0),
+    attempt(2, won=False, verdict=-2.0),
 ]
 
 
@@ -37,29 +36,35 @@ def test_verdicts_on_episodes_are_counted_against_those_of_the_page() -> None:
     assert found["auc"] == pytest.approx(8 / 9, abs=1e-4)
 
 
-def test_a_reward_abstains_on_small_rewards_and_on_mistakes_that_may_have_been_undone() -> None:
+def test_a_reward_abstains_between_two_thresholds() -> None:
     found = outcome_measures(
         [
-            attempt(1, won=True, lowest=0.8),
-            attempt(1, won=False, lowest=0.7),
-            attempt(1, won=False, lowest=0.3),  # abstains
-            attempt(1, won=True, lowest=-0.9),  # abstains
-            attempt(1, won=True, lowest=-4.0, last=0.9),  # abstains
-            attempt(1, won=False, lowest=-4.0),
-            attempt(1, won=True, lowest=-4.0, last=-1.1),
-            attempt(1, won=False, lowest=-1.2),
+            attempt(1, won=True, verdict=0.8),
+            attempt(1, won=False, verdict=0.71),
+            attempt(1, won=False, verdict=0.3),  # abstains
+            attempt(1, won=True, verdict=-1.9),  # abstains
+            attempt(1, won=False, verdict=-4.0),
+            attempt(1, won=True, verdict=-2.1),
+            attempt(1, won=False, verdict=-2.2),
         ]
     )
-    assert found["sure"] == 5 / 8
+    assert found["sure"] == pytest.approx(5 / 7, abs=1e-4)
     assert found["sure_precision"] == 0.5
     assert found["sure_npv"] == pytest.approx(2 / 3, abs=1e-4)
 
 
+def test_a_mistake_counts_less_the_more_steps_follow() -> None:
+    assert verdict(np.array([0.5, 2.0, 1.0])) == 0.5
+    assert verdict(np.array([1.0, -2.0])) == -2.0
+    assert verdict(np.array([-2.0, 1.0, 3.0])) == pytest.approx(-2.0 * 0.36)
+    assert verdict(np.array([-2.0, 1.0, -1.0])) == -1.0
+
+
 def test_what_has_nothing_to_divide_by_is_none() -> None:
-    found = outcome_measures([attempt(1, won=True, lowest=1.0)])
+    found = outcome_measures([attempt(1, won=True, verdict=1.0)])
     assert (found["sure"], found["sure_precision"], found["sure_npv"]) == (1.0, 1.0, None)
     assert (found["precision"], found["recall"], found["npv"], found["auc"]) == (1.0, 1.0, None, None)
-    assert outcome_measures([attempt(1, won=False, lowest=1.0)])["recall"] is None
+    assert outcome_measures([attempt(1, won=False, verdict=1.0)])["recall"] is None
     assert outcome_measures([])["episodes"] == 0
 
 
@@ -87,14 +92,14 @@ def test_a_step_is_ranked_among_the_first_four_other_actions_and_ties_count_agai
 
 
 def test_the_preferred_attempt_is_compared_with_one_and_with_the_best() -> None:
-    assert uses([*JUDGED[1:], attempt(2, won=True, lowest=-3.0, logp=-1.0), attempt(1, won=False, lowest=-9.0)]) == {
+    assert uses([*JUDGED[1:], attempt(2, won=True, verdict=-3.0, logp=-1.0), attempt(1, won=False, verdict=-9.0)]) == {
         "sampled": pytest.approx(3 / 7),
         "best_attempt": 1.0,
         "likeliest": 1.0,
         "oracle": 1.0,
     }
-    assert uses([attempt(1, won=True, lowest=0.0), attempt(1, won=False, lowest=1.0)])["best_attempt"] == 0.0
-    assert uses([attempt(1, won=True, lowest=1.0, logp=-2.0), attempt(1, won=False, lowest=0.0)])["likeliest"] == 0.0
+    assert uses([attempt(1, won=True, verdict=0.0), attempt(1, won=False, verdict=1.0)])["best_attempt"] == 0.0
+    assert uses([attempt(1, won=True, verdict=1.0, logp=-2.0), attempt(1, won=False, verdict=0.0)])["likeliest"] == 0.0
 
 
 def test_a_further_attempt_uses_other_random_numbers() -> None:

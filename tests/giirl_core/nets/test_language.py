@@ -1,4 +1,4 @@
-"""Word vectors (the installed GloVe table and hashed vectors) and bags of words."""
+"""Word vectors (the installed GloVe table and hashed vectors), meanings in WordNet, and bags of words."""
 
 from __future__ import annotations
 
@@ -56,6 +56,19 @@ def test_only_the_two_rarest_words_are_missing(glove: GloVe, installed: tuple[li
     assert np.array_equal(glove.table[FIRST_WORD:-FIRST_WORD], table[FIRST_WORD:-FIRST_WORD])
     assert [glove.row(word) for word in words[-FIRST_WORD:]] == [UNKNOWN, UNKNOWN]
     assert [glove.row(word) for word in words[FIRST_WORD:100]] == list(range(FIRST_WORD, 100))
+
+
+def test_kinship_tells_synonyms_from_other_words(glove: GloVe) -> None:
+    """`house` and `home` share a set of synonyms, `tiny` is similar to `little`, `bunny` is a kind of `rabbit`."""
+
+    def kinship(one: str, other: str) -> float:
+        assert glove.kinship(glove.row(one), glove.row(other)) == glove.kinship(glove.row(other), glove.row(one))
+        return glove.kinship(glove.row(one), glove.row(other))
+
+    assert kinship("house", "homes") == 1.0  # an inflected word has the meanings of its base form
+    assert kinship("tiny", "little") == pytest.approx(0.9)
+    assert kinship("bunny", "rabbit") == pytest.approx(0.6)
+    assert kinship("car", "delicious") == kinship("car", "qwxzzqv") == kinship("qwxzzqv", "qwxzzqv") == 0.0
 
 
 def test_hashed_words_are_deterministic_and_never_padding_or_unknown() -> None:

@@ -126,6 +126,13 @@ def test_quoted_words_match_the_beginning_and_end_of_texts() -> None:
     assert flags(case, utterance, layout.SUFFIX) == [1, 0]
 
 
+def test_quoted_words_match_the_beginning_and_end_of_what_was_typed() -> None:
+    case, utterance = page("input_text", "input_text", "input_text"), 'It starts with "Al" and ends with "ia".'
+    typed = replace(case, value=("Albania", "New Albania", ""))
+    assert flags(typed, utterance, layout.PREFIX) == [1, 0, 0]
+    assert flags(typed, utterance, layout.SUFFIX) == [1, 1, 0]
+
+
 def test_a_calendar_shows_whether_the_month_of_the_goal_is_later() -> None:
     case, first = page("span:March", "span:2016", "a:Next"), layout.CALENDAR.start
     for utterance, wanted in (("03/05/2016", [1, 1, 0, 0]), ("05/05/2016", [1, 0, 1, 0]), ("12/1/2015", [1, 0, 0, 1])):
@@ -162,6 +169,30 @@ def test_a_goal_word_that_is_not_on_the_page_matches_the_most_similar_word() -> 
     assert table[:, 2].tolist() == [True, False, False]
     assert features.token_ids[2, layout.OPEN]
     assert features.element_flags[0, layout.SIMILARITY] > features.element_flags[1, layout.SIMILARITY]
+
+
+def most_similar(utterance: str, *elements: str) -> list[list[str]]:
+    """[E] the words of the goal that each element is the likeliest match of."""
+    goal = Goal(utterance)
+    table = dense_matches(featurise(page(*elements), goal, load_vectors("glove")))[layout.MOST_SIMILAR] > 0
+    return [[token for token, found in zip(goal.tokens, row, strict=True) if found] for row in table]
+
+
+def test_every_goal_word_has_an_element_of_its_own() -> None:
+    """`scarlet` is the likeliest match of both words, so `crimson` takes what is left."""
+    found = most_similar("Find vermillion, scarlet and fires", "a:scarlet", "a:crimson", "a:flame", "a:chair")
+    assert found == [[], ["vermillion"], ["fires"], []]
+
+
+def test_elements_that_are_equally_like_a_word_match_it_together() -> None:
+    assert most_similar("Find some car", "a:automobile", "a:automobile", "a:banana") == [["car"], ["car"], []]
+
+
+def test_words_of_the_goal_whose_elements_were_acted_on_are_done() -> None:
+    case, goal = page("a:scarlet", "a:Bob", "a:Ada"), Goal("Pick red, Bob and Ada")
+    acted = replace(case, tampered=np.array([True, False, True]))
+    done = featurise(acted, goal, load_vectors("glove")).token_flags[:, layout.DONE] > 0
+    assert [token for token, found in zip(goal.tokens, done, strict=True) if found] == ["red", "Ada"]
 
 
 def test_relations_tell_parents_children_and_neighbours_apart() -> None:
