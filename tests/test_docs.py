@@ -19,6 +19,7 @@ from giirl.run.grid import learn
 from giirl_core.config import Config
 from giirl_core.config_file import keys, load_config
 from giirl_core.metrics import Metrics
+from giirl_core.nets.reward import SCHEMA
 from tests.giirl.small import run
 from tests.old_names import OLD_NAMES
 
@@ -216,6 +217,10 @@ def test_the_metrics_page_has_every_key_of_a_grid_curve(algorithm: str) -> None:
     changes = ["iterations=2", "rollout_batch=2", "policy.updates=2", "grid.random_episodes=5", "grid.measure_every=1"]
     curve = learn(load_config(ROOT / "experiments/gridcraft.toml", [*changes, f"algorithm={algorithm}"])).curve
     assert {key for point in curve for key in point} <= set(spans("docs/metrics.md"))
+
+
+def test_the_reward_page_has_the_version_of_exported_rewards() -> None:
+    assert f"| `schema` | {SCHEMA}: " in (ROOT / "docs/reward.md").read_text(encoding="utf-8")
 
 
 def test_no_old_name_is_left() -> None:
