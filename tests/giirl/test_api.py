@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from giirl import LearnedReward, RunFolder, evaluate, load_policy, load_reward, read_episodes, train
 from giirl.cli.main import giirl
 from giirl.run.worlds import WORLDS
+from giirl_core.nets.reward import SCHEMA
 from giirl_core.types import Action, EpisodeSpec, Goal, Observation, Page, Trajectory, Verb
 from tests.giirl.small import config
 from tests.test_surface import WITHOUT, fresh
@@ -167,7 +168,7 @@ def test_a_damaged_or_foreign_file_is_one_line(folder: RunFolder, exported: Path
         "or it is damaged: ": [b"", b"text", blob[:-9], blob[: len(blob) // 2], b"\xff" * 64],
         "is damaged: its content has sha256": changed,
         "is no exported reward: wanted a file of `giirl reward export`": [checkpoint],
-        "its header has schema = 1.*reads schema 2": [with_header(blob, schema=1)],
+        f"its header has schema = 1.*reads schema {SCHEMA}": [with_header(blob, schema=1)],
         "its header has form = 'best'": [with_header(blob, form="best")],
         "its header has depth = 3": [with_header(blob, depth=3)],
         "needs the word vectors 'hashed' of version 9, here is version 1": [with_header(blob, vectors_version="9")],
