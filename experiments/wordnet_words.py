@@ -3,8 +3,9 @@
     python experiments/wordnet_words.py /usr/share/wordnet giirl_core/nets/wordnet.tsv.gz
 
 A line has a word of the GloVe table and, separated by tabs, three lists of synonym sets: those that it is in, those
-that these are similar to, and those that these are related to, more general ones among them. A set is a number that
-only says which words have it in common. An inflected word has the sets of its base forms too.
+that these are similar to, and those that are more general than the first or that WordNet says to see also for any of
+them. A set is a number that only says which words have it in common. An inflected word has the sets of its base forms
+too. Words with no set that another word has are left out.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from giirl_core.nets.language import GloVe
 
 Set = tuple[str, str]  # part of speech, and place in the file
 PARTS = {"noun": "n", "verb": "v", "adj": "a", "adv": "r"}
-SIMILAR, RELATED = {"&"}, {"@", "^"}  # pointers of data.*: similar to; hypernym, also see
+SIMILAR, MORE_GENERAL, SEE_ALSO = "&", "@", "^"  # pointers of data.*
+SHORTEST = 3  # letters of a base form: shorter words are symbols (k, Re), which `king` and `red` do not come from
 ENDINGS = (("ies", "y"), ("es", ""), ("es", "e"), ("s", ""), ("ed", ""), ("ed", "e"), ("ing", ""), ("ing", "e"))
 
 
@@ -30,14 +32,14 @@ class WordNet:
     def __init__(self, folder: Path) -> None:
         self.sets: dict[str, set[Set]] = defaultdict(set)  # of each word in lower case
         self.pointers: dict[str, dict[Set, set[Set]]] = defaultdict(lambda: defaultdict(set))  # by symbol
-        self.irregular: dict[str, str] = {}
+        self.irregular: dict[str, set[str]] = defaultdict(set)  # base forms
         for name, part in PARTS.items():
             for line in (folder / f"data.{name}").read_text(encoding="utf-8").splitlines():
                 if not line.startswith("  "):
                     self._read(part, line.split("|")[0].split())
             for line in (folder / f"{name}.exc").read_text(encoding="utf-8").splitlines():
-                inflected, base, *_ = line.split()
-                self.irregular.setdefault(inflected, base)
+                inflected, *bases = line.split()
+                self.irregular[inflected].update(bases)
 
     def _read(self, part: str, fields: list[str]) -> None:
         """A line of data.*: offset, file, type, number of words, (word, id) each, number of pointers, and these."""
@@ -51,12 +53,13 @@ class WordNet:
 
     def of(self, word: str) -> set[Set]:
         """The sets of a word and of what it may be an inflection of."""
-        bases = {word, self.irregular.get(word, word)}
-        bases |= {word.removesuffix(end) + new for end, new in ENDINGS if word.endswith(end)}
+        bases = {word.removesuffix(end) + new for end, new in ENDINGS if word.endswith(end)}
+        bases = {word, *self.irregular.get(word, ()), *(base for base in bases if len(base) >= SHORTEST)}
         return {one for base in bases & self.sets.keys() for one in self.sets[base]}
 
-    def follow(self, sets: Iterable[Set], symbols: set[str]) -> set[Set]:
-        return {other for symbol in symbols for one in sets for other in self.pointers[symbol].get(one, ())}
+    def follow(self, sets: Iterable[Set], symbol: str) -> set[Set]:
+        """The sets that a pointer leads to."""
+        return {other for one in sets for other in self.pointers[symbol].get(one, ())}
 
 
 def main(folder: str, out: str) -> None:
@@ -66,7 +69,7 @@ def main(folder: str, out: str) -> None:
         if word.isalpha() and (own := wordnet.of(word)):
             similar = wordnet.follow(own, SIMILAR) - own
             near = own | similar
-            related = (wordnet.follow(near, {"^"}) | wordnet.follow(own, {"@"})) - near
+            related = (wordnet.follow(near, SEE_ALSO) | wordnet.follow(own, MORE_GENERAL)) - near
             found[word] = (own, similar, related)
     words = Counter(one for lists in found.values() for sets in lists for one in sets)
     number = {one: str(i) for i, (one, count) in enumerate(sorted(words.items())) if count > 1}

@@ -34,9 +34,9 @@ from giirl_core.weights import Weights
 BATCH = 64  # episodes that are scored at a time
 NEGATIVES = 4  # other legal actions that a step's action is compared with
 DRAWS = 12  # random actions that they are taken from: some are the action itself
-# Chosen on tuning seeds 100 and 101 of the 52 tasks, in nats: of a step, its share that is left after each further one
-# when it is negative, since a mistake may be undone; of an episode, verdicts that are sure.
-UNDONE, SURE_RIGHT, SURE_WRONG = 0.6, 0.7, -2.0
+# Chosen on tuning seeds 100 and 101 of the 52 tasks, for the reward form `logit`.
+UNDONE = 0.6  # what is left of a negative reward after each further step, since a mistake may be undone
+SURE_RIGHT, SURE_WRONG = 0.7, -2.0  # nats: verdicts above and below these are sure
 USES = ("sampled", "best_attempt", "likeliest", "oracle")  # ways to choose one of several attempts
 Array = NDArray[np.float64]
 
@@ -153,9 +153,9 @@ def _mean(rows: Sequence[dict[str, Any]]) -> dict[str, float | None]:
 
 
 def verdict(rewards: NDArray[np.floating[Any]]) -> float:
-    """The lowest of the rewards [T] of an episode, less that of a step with D = 1/2, where early mistakes count less.
+    """The lowest of the rewards [T] of an episode, less that of D = 1/2 each, where early mistakes count less.
 
-    A negative reward is multiplied with UNDONE for each step that follows it.
+    A negative reward is multiplied by UNDONE for each step that follows it.
     """
     weights = np.where(rewards < 0, UNDONE ** np.arange(len(rewards) - 1, -1, -1), 1.0)
     return float((rewards * weights).min())

@@ -21,7 +21,8 @@ class NetConfig:
     width: Annotated[int, Field(ge=4, multiple_of=4)] = 64
     """Width of the hidden layers. In the grid the Q-function is twice as wide. [units]"""
     vectors: Literal["glove", "hashed"] = "glove"
-    """Word vectors: "glove" reads 50-dimensional GloVe, "hashed" gives each word a random vector and needs no file."""
+    """Word vectors: "glove" reads 50-dimensional GloVe, and WordNet's synonyms; "hashed" gives each word a random
+    vector, needs no file, and has no synonyms."""
     word_order: bool = True
     """Read each word of the instruction with its neighbours. Without it the instruction is a bag of words."""
     goal_overlap: bool = True

@@ -73,7 +73,7 @@ class Batch:
 
     token_words: Tensor  # [T] int64, row of the word vectors
     token_flags: Tensor  # [T, TOKEN_FLAGS]
-    token_open: Tensor  # [T] bool, True for words that are quoted or on the page
+    token_open: Tensor  # [T] bool, True for words that are quoted, on the page, or MOST_SIMILAR
     token_real: Tensor  # [T] bool, False for the rows between goals
     token_page: Tensor  # [T] int64, page of each row
     token_row: Tensor  # [B, L] int64, flat row of each word; after the last word, the row of zeros

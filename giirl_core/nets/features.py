@@ -57,7 +57,7 @@ from giirl_core.types import Goal, Page
 # Matches of goal tokens, and the columns of their flags.
 _TOKEN_MATCHES = np.array([TEXT_WORD, VALUE_RUN, TEXT_RUN, KIND_WORD, LABEL_WORD, GROUP_RUN, SIMILAR])
 _TOKEN_COLUMNS = np.array([ON_PAGE, IN_VALUE, *range(TOKEN_MATCHES.start, TOKEN_MATCHES.stop)])
-_NAMES = np.isin(np.arange(MATCH_KINDS), (TEXT_RUN, LABEL_RUN, MOST_SIMILAR))  # [MATCH_KINDS] it names one element
+_NAMING = np.isin(np.arange(MATCH_KINDS), (TEXT_RUN, LABEL_RUN, MOST_SIMILAR))  # [MATCH_KINDS] naming an element
 _PEER_MATCHES = np.array([TEXT_RUN, KIND_WORD, LABEL_RUN, GROUP_RUN])
 
 
@@ -65,7 +65,7 @@ _PEER_MATCHES = np.array([TEXT_RUN, KIND_WORD, LABEL_RUN, GROUP_RUN])
 class Features:
     """One page under one goal: L goal tokens, E elements, and K matches between them. See `layout` for the columns."""
 
-    token_ids: Ids  # [L, TOKEN_IDS] row of the word vectors; 1 if the word is open: quoted or on the page
+    token_ids: Ids  # [L, TOKEN_IDS] row of the word vectors; 1 if it is open: quoted, on the page or MOST_SIMILAR
     token_flags: Floats  # [L, TOKEN_FLAGS]
     element_ids: Ids  # [E, ELEMENT_IDS] rows of the word vectors, tag, classes, clickable, typable
     element_flags: Floats  # [E, ELEMENT_FLAGS]
@@ -97,7 +97,7 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
     token_flags = text.flags.copy()
     token_flags[:, _TOKEN_COLUMNS] = by_kind[_TOKEN_MATCHES].T
     acted = page.tampered & read.structure.leaf
-    token_flags[tokens[acted[elements] & _NAMES[kinds]], DONE] = 1.0
+    token_flags[tokens[acted[elements] & _NAMING[kinds]], DONE] = 1.0
     is_open = text.quoted | by_kind[TEXT_WORD] | by_kind[MOST_SIMILAR]
     return Features(
         token_ids=np.array((text.rows, is_open), dtype=np.int32).T,

@@ -39,7 +39,7 @@ class Vectors(Protocol):
 class GloVe:
     """GloVe 6B (Pennington, Socher and Manning 2014): 400,000 words by frequency, 50 dimensions. Case-insensitive.
 
-    The table is memory-mapped. ValueError if the package is not installed or its files do not fit together. 86,000 of
+    The table is memory-mapped. ValueError if the package is not installed or its files do not fit together. 79,000 of
     the words have meanings in WordNet 3.0 (Miller 1995), which lies in this folder.
     """
 
@@ -118,7 +118,7 @@ def _glove_files() -> tuple[list[str], Path]:
     return words, folder / "glove_6B_50d_emb.npy"
 
 
-@functools.lru_cache(maxsize=1 << 18)
+@functools.lru_cache(maxsize=1 << 16)
 def _kinship(word: str, other: str) -> float:
     """The largest product of the nearness of both to a synonym set; 0 without one in common."""
     mine, theirs = _synonym_sets(word), _synonym_sets(other)

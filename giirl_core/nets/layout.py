@@ -20,7 +20,7 @@ ELEMENT_IDS = TAG + 3 + CLASS_SLOTS
 
 # Kinds of match between an element and words of the goal: the whole text of the element, any of its words, its whole
 # value, any word of its kind, all its attributes, the whole text or any word of its label, the whole text of another
-# element in its row of a table, a similar word, and the most similar word of the page.
+# element in its row of a table, a similar word, and a similar word that no other element matches better.
 TEXT_RUN, TEXT_WORD, VALUE_RUN, KIND_WORD, ATTRIBUTE_RUN, LABEL_RUN, LABEL_WORD, GROUP_RUN, SIMILAR, MOST_SIMILAR = (
     range(10)
 )
@@ -44,11 +44,8 @@ MATCHED_QUOTED = slice(30 + MATCH_KINDS, 30 + 2 * MATCH_KINDS)  # of each kind, 
 _NEXT = 30 + 2 * MATCH_KINDS
 TEXT_FOLDED = _NEXT  # the goal contains the whole text in any case
 WORD_FRACTION = _NEXT + 1  # fraction of the element's words that are in the goal
-PREFIX, SUFFIX = _NEXT + 2, _NEXT + 3  # its text begins or ends with a quoted word of the goal
-SIMILARITY, LABEL_SIMILARITY = (
-    _NEXT + 4,
-    _NEXT + 5,
-)  # how like its MOST_SIMILAR word it, its label is, to 2
+PREFIX, SUFFIX = _NEXT + 2, _NEXT + 3  # its text, or else its value, begins or ends with a quoted word of the goal
+SIMILARITY, LABEL_SIMILARITY = _NEXT + 4, _NEXT + 5  # from 0 to 2: to the MOST_SIMILAR word of it, of its label
 RANK_IN_GOAL = _NEXT + 6  # its rank is a number of the goal
 CALENDAR = slice(_NEXT + 7, _NEXT + 11)  # the page shows a month; it is the goal's; the goal's is later; is earlier
 FITS, COUNTS_FITTING = _NEXT + 11, _NEXT + 12  # a drawing as the goal describes; its text is the number of these
@@ -63,7 +60,7 @@ WORD, OPEN, TOKEN_IDS = 0, 1, 2
 # Columns of Features.token_flags: 3 on the page; 4 in a value; 6-10 in other matches (TOKEN_MATCHES).
 QUOTE, PUNCTUATION, CAPITAL, ON_PAGE, IN_VALUE, QUOTED = range(6)
 TOKEN_MATCHES = slice(6, 11)
-DIGIT, DONE, TOKEN_FLAGS = 11, 12, 13  # DONE: an element that it matches was acted on
+DIGIT, DONE, TOKEN_FLAGS = 11, 12, 13  # DONE: a leaf that it names was acted on
 TOKEN_OVERLAP = (ON_PAGE, IN_VALUE, *range(6, 11), DONE)
 
 TREE_RELATIONS = 11  # relations of two elements in the tree

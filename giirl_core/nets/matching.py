@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -87,19 +89,18 @@ def _match_similar(matches: Matches, read: PageFeatures, goal: GoalText, flags: 
 
     How like two words are is the cosine of their vectors, from 0, plus what WordNet says of their meanings. The
     likeliest match is an element's only one and its word's only one (but for elements that are equally like), then the
-    likeliest of those that are left, and so on. An element whose whole text or label is in the goal needs none.
+    likeliest of those that are left, and so on. An element whose whole text, value or label is in the goal needs none.
     """
     elements = read.with_words
     if not len(elements):
         return
     absent = np.flatnonzero(~matches[:, TEXT_WORD].any(axis=0) & goal.units.any(axis=1))
     likeness = np.maximum(read.units @ goal.units.T, 0.0)
-    rows = goal.rows[absent].tolist()
-    likeness[:, absent] += [[vectors.kinship(row, other) for other in rows] for row in read.rows]
+    likeness[:, absent] += _kinship(read.rows, tuple(goal.rows[absent].tolist()), vectors)
     likeness = np.maximum.reduceat(likeness[read.unit], read.first_unit, axis=0)  # [R, L]
     found = likeness[:, absent]
     matches[elements[:, None], SIMILAR, absent] = found >= SIMILAR_LIKENESS
-    named: NDArray[np.bool_] = np.any(matches[:, TEXT_RUN], axis=1)
+    named: NDArray[np.bool_] = (flags[:, TEXT_FOLDED] > 0) | np.any(matches[:, VALUE_RUN], axis=1)
     fields = read.structure.labelled
     named[fields] |= named[read.structure.label[fields]]
     open_ = found * ~named[elements, None]
@@ -109,6 +110,13 @@ def _match_similar(matches: Matches, read: PageFeatures, goal: GoalText, flags: 
         matches[elements[equal], MOST_SIMILAR, absent[word]] = True
         flags[elements[equal], SIMILARITY] = best
         open_[equal] = open_[:, word] = 0.0
+
+
+@functools.lru_cache(maxsize=1 << 10)
+def _kinship(rows: tuple[int, ...], others: tuple[int, ...], vectors: Vectors) -> Floats:
+    """[rows, others] how near words are by their meanings. It must not be changed."""
+    table = [[vectors.kinship(row, other) for other in others] for row in rows]
+    return np.array(table, dtype=np.float32).reshape(len(rows), len(others))
 
 
 def _match_labels(matches: Matches, structure: Structure, flags: Floats) -> None:

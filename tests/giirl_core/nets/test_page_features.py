@@ -179,20 +179,48 @@ def most_similar(utterance: str, *elements: str) -> list[list[str]]:
 
 
 def test_every_goal_word_has_an_element_of_its_own() -> None:
-    """`scarlet` is the likeliest match of both words, so `crimson` takes what is left."""
-    found = most_similar("Find vermillion, scarlet and fires", "a:scarlet", "a:crimson", "a:flame", "a:chair")
-    assert found == [[], ["vermillion"], ["fires"], []]
+    """`tiny` is the likeliest match of both words, and likelier that of `miniature`."""
+    assert most_similar("Find petite and miniature", "a:tiny", "a:little") == [["miniature"], ["petite"]]
 
 
 def test_elements_that_are_equally_like_a_word_match_it_together() -> None:
     assert most_similar("Find some car", "a:automobile", "a:automobile", "a:banana") == [["car"], ["car"], []]
 
 
+def test_words_that_are_not_alike_match_nothing() -> None:
+    assert most_similar("Find the banana", "a:parliament") == [[]]
+
+
+@pytest.mark.parametrize("element", ["a:home", "a:Home"])
+def test_an_element_that_is_named_takes_no_other_word(element: str) -> None:
+    assert most_similar("Find home and residence", element, "a:dwelling") == [[], ["residence"]]
+
+
+def test_a_field_that_holds_a_word_of_the_goal_takes_no_other_word() -> None:
+    for value, free in (("Bob", False), ("Robert", True)):
+        features = featurise(replace(page("input_text"), value=(value,)), Goal("Bob and Smith"), load_vectors("glove"))
+        assert dense_matches(features)[layout.MOST_SIMILAR].any() == free
+
+
+def done(case_page: Page, utterance: str) -> list[str]:
+    """The words of the goal that are marked as done."""
+    goal = Goal(utterance)
+    marks = featurise(case_page, goal, load_vectors("glove")).token_flags[:, layout.DONE] > 0
+    return [token for token, found in zip(goal.tokens, marks, strict=True) if found]
+
+
 def test_words_of_the_goal_whose_elements_were_acted_on_are_done() -> None:
-    case, goal = page("a:scarlet", "a:Bob", "a:Ada"), Goal("Pick red, Bob and Ada")
+    case = page("a:automobile", "a:Bob", "a:Ada")
     acted = replace(case, tampered=np.array([True, False, True]))
-    done = featurise(acted, goal, load_vectors("glove")).token_flags[:, layout.DONE] > 0
-    assert [token for token, found in zip(goal.tokens, done, strict=True) if found] == ["red", "Ada"]
+    assert done(acted, "Pick a car, Bob and Ada") == ["car", "Ada"]
+    assert done(case, "Pick a car, Bob and Ada") == []
+
+
+def test_words_are_not_done_by_parts_of_texts_or_by_containers() -> None:
+    part = replace(page("a:Ada Smith", "a:x"), tampered=np.array([True, False]))
+    assert done(part, "Ada") == []
+    container = replace(page("div:Ada", "a:x", parent=(-1, 0)), tampered=np.array([True, False]))
+    assert done(container, "Ada") == []
 
 
 def test_relations_tell_parents_children_and_neighbours_apart() -> None:
