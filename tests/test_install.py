@@ -74,6 +74,8 @@ def test_the_base_install_plays_an_episode_in_chrome_without_torch_and_ray(tmp_p
     assert optional & set(packages) == set()
     extras = packages["giirl"].metadata.get_all("Provides-Extra") or []
     assert set(extras) == {*requirements(), "all"} - {""}
+    files = {str(file) for file in packages["giirl"].files or []}
+    assert {"giirl_core/nets/wordnet.tsv.gz", "giirl_core/nets/wordnet.LICENSE", "giirl/studies/published.csv"} <= files
 
     played = run(tmp_path, str(tmp_path / "venv/bin/python"), "-c", EPISODE)
     assert played.returncode == 0, played.stderr

@@ -163,6 +163,7 @@ SCRIPTED_TASKS = tuple(sorted(set(EXPERTS) - set(UNREADABLE)))
 
 
 def budget_variants() -> tuple[Variant, ...]:
+    """GIIRL and cloning with few demonstrations, then with noisy ones."""
     few = [_with_budget(variant, budget) for budget in BUDGETS for variant in (GIIRL, CLONING)]
     noisy = [
         Variant(name=f"{variant.name}, {share:.0%} noise", changes=(*variant.changes, f"demos.noise_fraction={share}"))
