@@ -34,7 +34,7 @@ def measure(display: Display, *, before: str = "", turns: int = 3) -> dict[str, 
             for _ in range(turns):
                 for case in CASES:
                     for name, tree in trees.items():
-                        found[case][name].append(_run(case, tree))
+                        found[case][name].append(run_turn(case, tree))
                         job.advance()
     summaries = {case: {name: _summary(parts) for name, parts in by_tree.items()} for case, by_tree in found.items()}
     four, mix = summaries["four"], summaries["mix"]
@@ -73,10 +73,15 @@ def _summary(turns: list[Parts]) -> Parts:
     }
 
 
-def _run(case: str, tree: Path) -> Parts:
-    """One turn of a case in a separate process, with the code in `tree`. RuntimeError if the process fails."""
-    program = Path(__file__).with_name("learner_parts.py")
-    command = [sys.executable, "-P", str(program), case, str(CASES[case]), str(program.parent)]
+def run_turn(case: str, tree: Path) -> Parts:
+    """One turn of a case in a separate process, with the code in `tree` on this checkout's fixture.
+
+    The program is that of `tree`, which knows its interfaces, or ours if it has none. RuntimeError if it fails.
+    """
+    ours = Path(__file__).with_name("learner_parts.py")
+    theirs = tree / "benchmarks" / ours.name
+    program = theirs if theirs.exists() else ours
+    command = [sys.executable, "-P", str(program), case, str(CASES[case]), str(ours.parent)]
     environment = {**os.environ, "PYTHONPATH": str(tree), "OMP_NUM_THREADS": "1"}
     done = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S)
     if done.returncode:

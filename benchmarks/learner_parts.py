@@ -2,9 +2,9 @@
 
     python benchmarks/learner_parts.py four|mix ROUNDS FOLDER
 
-`benchmarks.learner` runs it on two checkouts, which it puts on PYTHONPATH. FOLDER holds `pages.py`, so that both use
-the same fixture. The policy update of older checkouts takes a reward function instead of sampled actions; both
-interfaces are supported.
+`benchmarks.learner` runs it, and on another checkout the program there. FOLDER holds `pages.py`, so that both use the
+same fixture. On checkouts from before this benchmark it runs this program; there the policy update takes a reward
+function instead of sampled actions.
 """
 
 from __future__ import annotations

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from giirl_core.gestures import BASIC
 from giirl_core.types import DEMONSTRATION, Action, Episode, Goal, Page, Purpose, Trajectory, Verb
 
 FIXTURE = Path(__file__).parent / "fixtures" / "pages.json.gz"
@@ -162,6 +161,7 @@ def record() -> None:
     from actors.rollouts import play_pages
     from browser_farm.experts import EXPERTS, expert
     from giirl_core.config import Config
+    from giirl_core.gestures import BASIC
     from giirl_core.metrics import Metrics
 
     config, metrics = Config(tasks=TASKS, step_limit=20), Metrics()
