@@ -29,21 +29,11 @@ def generate_until_it_fits(view: PageView) -> Action:
 
 
 @expert_for("guess-number")
-def guess_by_halves(view: PageView) -> Action:
-    """Binary search. Each guess has one place in the search tree, so the last answer alone determines the range."""
-    field = view.row("input_number")
-    text = view.all_text(0)
-    low, high = 0, 9
-    answer = re.search(r"(lower|higher) than\s*(\d)", text)
-    while answer is not None:
-        middle = (low + high) // 2
-        guessed = int(answer[2])
-        if guessed == middle:
-            low, high = (low, guessed - 1) if answer[1] == "lower" else (guessed + 1, high)
-            break
-        low, high = (low, middle - 1) if guessed < middle else (middle + 1, high)
-    guess = str((low + high) // 2)
-    return view.fill({field: guess}) or view.click_button("Submit")
+def guess_by_counting(view: PageView) -> Action:
+    """From 0 one up after each answer. Binary search is faster, but our nets do not tell "higher" from "lower"."""
+    answer = re.search(r"than\s*(\d)", view.all_text(0))
+    guess = 0 if answer is None else int(answer[1]) + 1
+    return view.fill({view.row("input_number"): str(guess)}) or view.click_button("Submit")
 
 
 @expert_for("stock-market")

@@ -34,6 +34,7 @@ from giirl_core.nets.layout import (
     MATCHED,
     MATCHED_QUOTED,
     MOST_SIMILAR,
+    NEXT,
     ON_PAGE,
     PAGE_FLAGS,
     PEER,
@@ -98,6 +99,9 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
     token_flags[:, _TOKEN_COLUMNS] = by_kind[_TOKEN_MATCHES].T
     acted = page.tampered & read.structure.leaf
     token_flags[tokens[acted[elements] & _NAMING[kinds]], DONE] = 1.0
+    if len(text.counted):
+        shown = read.number[read.flags[:, HAS_NUMBER] > 0]
+        token_flags[text.counted, NEXT] = np.isin(text.counts - 1, shown)
     is_open = text.quoted | by_kind[TEXT_WORD] | by_kind[MOST_SIMILAR]
     return Features(
         token_ids=np.array((text.rows, is_open), dtype=np.int32).T,

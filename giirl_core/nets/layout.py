@@ -57,11 +57,12 @@ ELEMENT_OVERLAP = slice(PAGE_FLAGS, ELEMENT_FLAGS)
 
 # Columns of Features.token_ids.
 WORD, OPEN, TOKEN_IDS = 0, 1, 2
-# Columns of Features.token_flags: 3 on the page; 4 in a value; 6-10 in other matches (TOKEN_MATCHES).
+# Columns of Features.token_flags: 3 on the page; 4 in a value; 6-10 in other matches (TOKEN_MATCHES). DONE: a leaf that
+# it names was acted on. NEXT: it is one more than a number on the page.
 QUOTE, PUNCTUATION, CAPITAL, ON_PAGE, IN_VALUE, QUOTED = range(6)
 TOKEN_MATCHES = slice(6, 11)
-DIGIT, DONE, TOKEN_FLAGS = 11, 12, 13  # DONE: a leaf that it names was acted on
-TOKEN_OVERLAP = (ON_PAGE, IN_VALUE, *range(6, 11), DONE)
+DIGIT, DONE, NEXT, TOKEN_FLAGS = 11, 12, 13, 14
+TOKEN_OVERLAP = (ON_PAGE, IN_VALUE, *range(6, 11), DONE, NEXT)
 
 TREE_RELATIONS = 11  # relations of two elements in the tree
 SCREEN_RELATIONS = 8  # relations of two elements on the screen

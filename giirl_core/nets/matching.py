@@ -31,8 +31,7 @@ from giirl_core.nets.page_features import PageFeatures
 from giirl_core.nets.reading import Floats, GoalText, Text, occurrences
 from giirl_core.nets.relations import NONE, Structure
 
-MIN_LIKENESS = 0.25  # of a word and the element that it matches alone
-SIMILAR_LIKENESS = 0.5  # of similar words
+MIN_LIKENESS = 0.5  # of similar words
 
 Matches = NDArray[np.bool_]  # [E, MATCH_KINDS, L]
 
@@ -99,7 +98,7 @@ def _match_similar(matches: Matches, read: PageFeatures, goal: GoalText, flags: 
     likeness[:, absent] += _kinship(read.rows, tuple(goal.rows[absent].tolist()), vectors)
     likeness = np.maximum.reduceat(likeness[read.unit], read.first_unit, axis=0)  # [R, L]
     found = likeness[:, absent]
-    matches[elements[:, None], SIMILAR, absent] = found >= SIMILAR_LIKENESS
+    matches[elements[:, None], SIMILAR, absent] = found > MIN_LIKENESS
     named: NDArray[np.bool_] = (flags[:, TEXT_FOLDED] > 0) | np.any(matches[:, VALUE_RUN], axis=1)
     fields = read.structure.labelled
     named[fields] |= named[read.structure.label[fields]]

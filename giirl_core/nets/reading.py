@@ -108,7 +108,9 @@ class GoalText:
     words: frozenset[str]  # the tokens in lower case without punctuation, which matches nothing
     quoted: NDArray[np.bool_]  # [L] True between a pair of double quotes
     flags: Floats  # [L, TOKEN_FLAGS] with the overlap columns 0
-    units: Floats  # [L, D] see `unit_vectors`; 0 for punctuation and the most common words
+    units: Floats  # [L, D] see `unit_vectors`; 0 for quoted words, numbers, punctuation and the most common words
+    counted: Ids  # [N] indices of the tokens that are numbers
+    counts: Floats  # [N] these numbers
     numbers: Floats  # the first numbers, at most GOAL_NUMBERS
     affixes: tuple[str, ...]  # quoted words in lower case
     month: tuple[int, int] | None  # year and month of the first date
@@ -174,8 +176,10 @@ def read_goal(goal: Goal, vectors: Vectors) -> GoalText:
     folded = tuple(token.lower() for token in tokens)
     rows = np.array([vectors.row(token) for token in tokens], dtype=np.int32)
     # The two most common words are in the last two rows of the table.
-    rare = (rows >= FIRST_WORD + COMMON_ROWS) & (rows < len(vectors.table) - FIRST_WORD) & (flags[:, PUNCTUATION] == 0)
+    rare = (rows >= FIRST_WORD + COMMON_ROWS) & (rows < len(vectors.table) - FIRST_WORD)
+    rare &= ~quoted & (flags[:, PUNCTUATION] == 0) & (flags[:, DIGIT] == 0)
     date = _DATE.search(goal.utterance)
+    counted = [index for index, token in enumerate(tokens) if _INTEGER.fullmatch(token)]
     single = ((word, _single_character(word)) for word in tokens[2:])
     return GoalText(
         rows=rows,
@@ -187,6 +191,8 @@ def read_goal(goal: Goal, vectors: Vectors) -> GoalText:
         quoted=quoted,
         flags=flags,
         units=unit_vectors(rows.tolist(), vectors) * rare[:, None].astype(np.float32),
+        counted=np.array(counted, dtype=np.int32),
+        counts=np.array([tokens[index] for index in counted], dtype=np.float32),
         numbers=np.array(_goal_numbers(goal.utterance)[:GOAL_NUMBERS], dtype=np.float32),
         affixes=tuple(word for word, inside in zip(folded, quoted, strict=True) if inside and word.isalnum()),
         month=None if date is None else (int(date.group(2)), int(date.group(1))),

@@ -193,7 +193,18 @@ def test_words_that_are_not_alike_match_nothing() -> None:
 
 @pytest.mark.parametrize("element", ["a:home", "a:Home"])
 def test_an_element_that_is_named_takes_no_other_word(element: str) -> None:
-    assert most_similar("Find home and residence", element, "a:dwelling") == [[], ["residence"]]
+    assert most_similar("Find home and residence", element, "a:apartment") == [[], ["residence"]]
+
+
+def test_quoted_words_and_numbers_match_no_similar_word() -> None:
+    assert most_similar('Find "car" and 2016', "a:automobile", "a:2017") == [[], []]
+    assert most_similar("Find car and 2016", "a:automobile", "a:2017") == [["car"], []]
+
+
+def test_numbers_one_above_a_number_on_the_page_are_next() -> None:
+    case, goal = page("div:4", "span:Ada"), Goal("Guess between 0-9")
+    marks = featurise(case, goal, load_vectors("glove")).token_flags[:, layout.NEXT] > 0
+    assert [token for token, found in zip(goal.tokens, marks, strict=True) if found] == ["5"]
 
 
 def test_a_field_that_holds_a_word_of_the_goal_takes_no_other_word() -> None:
