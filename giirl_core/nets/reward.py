@@ -38,7 +38,7 @@ from giirl_core.types import UNSCORED, Action, Goal, Page, Trajectory
 from giirl_core.weights import Weights
 
 FORMS: tuple[str, ...] = get_args(RewardForm)
-SCHEMA: Final = 3  # of exported rewards: raise it when the file, the nets or the features of a page change
+SCHEMA: Final = 4  # of exported rewards: raise it when the file, the nets or the features of a page change
 HEADER = "giirl_reward"  # the key of the header in the metadata of the file
 
 
@@ -150,7 +150,7 @@ def build_policy(config: Config) -> PolicyNet:
 class RewardHeader:
     """What the file of an exported reward says besides the parameters of the net."""
 
-    schema: Literal[3]  # SCHEMA
+    schema: Literal[4]  # SCHEMA
     version: int  # learner step of the weights
     net: NetConfig
     form: RewardForm
