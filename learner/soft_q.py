@@ -133,7 +133,7 @@ class SoftQ:
             encoding = self.target.encoder(next_batch)
             value = self.target.state_value(encoding)
             if self.form == "q_learning":
-                value = value + self.config.temperature * self.target.sample(encoding, None)[1][:, 0]
+                value = value + self.config.temperature * self.target.highest_logp(encoding)
             return torch.where(continues, value, 0.0)
 
 

@@ -89,19 +89,18 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
     flags[:, MATCHED] = match_counts.reshape(count, MATCH_KINDS) > 0
     quoted = text.quoted[tokens]
     flags[elements[quoted], MATCHED_QUOTED.start + kinds[quoted]] = 1.0
-    _compare_numbers(flags, page, read, text)
+    acted = page.tampered & read.structure.leaf
+    _compare_numbers(flags, acted, read, text)
     _compare_month(flags, read, text)
     _compare_drawings(flags, page, read, text)
-    _mark_peers(flags, page, read, matches)
+    _mark_peers(flags, acted, read, matches)
     by_kind = np.zeros((MATCH_KINDS, len(text.exact)), dtype=np.bool_)
     by_kind[kinds, tokens] = True
     token_flags = text.flags.copy()
     token_flags[:, _TOKEN_COLUMNS] = by_kind[_TOKEN_MATCHES].T
-    acted = page.tampered & read.structure.leaf
     token_flags[tokens[acted[elements] & _NAMING[kinds]], DONE] = 1.0
     if len(text.counted):
-        shown = read.number[read.flags[:, HAS_NUMBER] > 0]
-        token_flags[text.counted, NEXT] = np.isin(text.counts - 1, shown)
+        token_flags[text.counted, NEXT] = np.isin(text.counts - 1, read.number)
     is_open = text.quoted | by_kind[TEXT_WORD] | by_kind[MOST_SIMILAR]
     return Features(
         token_ids=np.array((text.rows, is_open), dtype=np.int32).T,
@@ -115,9 +114,9 @@ def featurise(page: Page, goal: Goal, vectors: Vectors) -> Features:
     )
 
 
-def _compare_numbers(flags: Floats, page: Page, read: PageFeatures, goal: GoalText) -> None:
-    """Compare the numbers of the goal with those of elements, their ranks, and the number of leaves acted on."""
-    acted = int((page.tampered & read.structure.leaf).sum())
+def _compare_numbers(flags: Floats, leaves: NDArray[np.bool_], read: PageFeatures, goal: GoalText) -> None:
+    """Compare the numbers of the goal with those of elements, their ranks, and the number of `leaves` [E] acted on."""
+    acted = int(leaves.sum())
     flags[:, ACTED_COUNT] = np.log1p(acted)
     count = len(goal.numbers)
     if not count:
@@ -163,9 +162,8 @@ def _compare_drawings(flags: Floats, page: Page, read: PageFeatures, goal: GoalT
     flags[list(read.drawings), COUNTS_FITTING] = 0.0
 
 
-def _mark_peers(flags: Floats, page: Page, read: PageFeatures, matches: Matches) -> None:
-    """Mark leaves that have the tag, first class and matches of a leaf that was acted on, and were not acted on."""
-    acted = page.tampered & read.structure.leaf
+def _mark_peers(flags: Floats, acted: NDArray[np.bool_], read: PageFeatures, matches: Matches) -> None:
+    """Mark leaves that have the tag, first class and matches of a leaf that was `acted` on, and were not acted on."""
     if not acted.any():
         return
     matched: NDArray[np.bool_] = np.any(matches[:, _PEER_MATCHES], axis=1)  # [E, L]
@@ -175,7 +173,7 @@ def _mark_peers(flags: Floats, page: Page, read: PageFeatures, matches: Matches)
         return kinds[e], matched[e].tobytes()
 
     keys = {key(e) for e in np.flatnonzero(acted & matched.any(axis=1)).tolist()}
-    others = np.flatnonzero(read.structure.leaf & ~page.tampered).tolist() if keys else ()
+    others = np.flatnonzero(read.structure.leaf & ~acted).tolist() if keys else ()
     peers = [e for e in others if key(e) in keys]
     flags[peers, PEER] = 1.0
     flags[:, HAS_PEER] = len(peers) > 0

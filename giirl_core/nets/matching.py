@@ -94,10 +94,9 @@ def _match_similar(matches: Matches, read: PageFeatures, goal: GoalText, flags: 
     if not len(elements):
         return
     absent = np.flatnonzero(~matches[:, TEXT_WORD].any(axis=0) & goal.units.any(axis=1))
-    likeness = np.maximum(read.units @ goal.units.T, 0.0)
-    likeness[:, absent] += _kinship(read.rows, tuple(goal.rows[absent].tolist()), vectors)
-    likeness = np.maximum.reduceat(likeness[read.unit], read.first_unit, axis=0)  # [R, L]
-    found = likeness[:, absent]
+    likeness = np.maximum(read.units @ goal.units[absent].T, 0.0)
+    likeness += _kinship(read.rows, tuple(goal.rows[absent].tolist()), vectors)
+    found = np.maximum.reduceat(likeness[read.unit], read.first_unit, axis=0)  # [R, absent]
     matches[elements[:, None], SIMILAR, absent] = found > MIN_LIKENESS
     named: NDArray[np.bool_] = (flags[:, TEXT_FOLDED] > 0) | np.any(matches[:, VALUE_RUN], axis=1)
     fields = read.structure.labelled

@@ -113,6 +113,21 @@ class PolicyNet(nn.Module):
             start = start.index_copy(0, pages, torch.where(pairing, second, start[pages]))
         return ActionBatch(gesture=gesture, element=element, start=start, end=end), logp
 
+    def highest_logp(self, encoding: Encoding) -> Tensor:
+        """[B] the log-probability of the most probable action, nats. The greedy action may be a less probable one."""
+        logp = self.pair_logp(encoding).unflatten(1, (-1, len(self.gestures)))  # [B, E, G]
+        size, count, length = len(logp), logp.shape[1], encoding.token_mask.shape[1]
+        element = torch.arange(count, device=logp.device).expand(size, count)
+        spans = torch.arange(count * length, device=logp.device).expand(size, count * length)
+        ends = self.end_logp(encoding, spans // length, spans % length).amax(2).unflatten(1, (count, length))
+        words = (self.start_logp(encoding, element) + ends).amax(2, keepdim=True)
+        logp = logp + torch.where(self.takes_words, words, 0.0)
+        for gesture in self.takes_second.nonzero().flatten().tolist():
+            seconds = self.second_logp(encoding, element, torch.full_like(element, gesture))
+            logp[:, :, gesture] += seconds.amax(2)
+        highest: Tensor = logp.flatten(1).amax(1)
+        return highest
+
     def evaluate(self, encoding: Encoding, actions: ActionBatch) -> tuple[Tensor, Tensor]:
         """log pi(a | s, g) [B, M] and the entropy of pi(. | s, g) [B], nats.
 
